@@ -1,0 +1,132 @@
+//! World -> [`RenderScene`], touching only what changed.
+//!
+//! **Architecture invariant:** a body that only moved is found by `Changed<GlobalTransform>` and costs one matrix write; it
+//! never causes a full extraction, and so never a rebuilt acceleration structure.
+
+use crate::{
+    assets::Assets,
+    camera::Camera,
+    components::{CameraProjection, Hidden, LightSource, MeshInstance, StableId},
+    light::Light,
+    render_scene::{Environment, Instance, RenderScene},
+};
+use bevy_ecs::{entity::EntityHashMap, prelude::*};
+use bevy_transform::components::GlobalTransform;
+use glam::{Affine3, Mat3, Vec3};
+
+/// The scene of the last `App::update`.
+#[derive(Resource, Clone, Debug, Default)]
+pub struct Extracted(pub RenderScene);
+
+/// Background and ambient light of the world.
+#[derive(Resource, Clone, Copy, Debug, Default, PartialEq)]
+pub struct SceneEnvironment(pub Environment);
+
+/// Which entity stands at which place of the extracted arrays.
+#[derive(Resource, Debug, Default)]
+pub struct ExtractIndex {
+    instance_of: EntityHashMap<u32>,
+    entities: Vec<Entity>,
+}
+
+impl ExtractIndex {
+    /// Entity behind an `instance_id` of the current scene.
+    pub fn entity(&self, instance_id: u32) -> Option<Entity> {
+        self.entities.get(instance_id as usize).copied()
+    }
+}
+
+type Visible = (With<StableId>, Without<Hidden>);
+
+/// The extraction system; runs in `Last`, after transforms have propagated.
+pub fn extract(
+    assets: Res<Assets>,
+    environment: Res<SceneEnvironment>,
+    mut index: ResMut<ExtractIndex>,
+    mut extracted: ResMut<Extracted>,
+    instances: Query<(Entity, &StableId, &MeshInstance, &GlobalTransform), Visible>,
+    moved: Query<(Entity, &GlobalTransform), (Changed<GlobalTransform>, With<MeshInstance>, Visible)>,
+    restructured: Query<(), (Or<(Changed<MeshInstance>, Changed<StableId>)>, With<MeshInstance>, Visible)>,
+    mut gone: (RemovedComponents<MeshInstance>, RemovedComponents<StableId>, RemovedComponents<Hidden>),
+    hidden: Query<(), (Added<Hidden>, With<MeshInstance>)>,
+    lights: Query<(Entity, &StableId, &LightSource, &GlobalTransform), Without<Hidden>>,
+    cameras: Query<(Entity, &StableId, &CameraProjection, &GlobalTransform)>,
+) {
+    let scene = &mut extracted.0;
+    scene.begin_revision();
+    scene.environment = environment.0;
+
+    let removed = gone.0.read().count() + gone.1.read().count() + gone.2.read().count() > 0;
+    if removed || assets.is_changed() || !restructured.is_empty() || !hidden.is_empty() {
+        let mut rows: Vec<(u64, Entity, Instance)> = instances
+            .iter()
+            .map(|(e, id, m, t)| {
+                let instance =
+                    Instance { stable_id: id.0, mesh: m.mesh.0, material: m.material.0, world_from_object: affine(t) };
+                (id.0, e, instance)
+            })
+            .collect();
+        rows.sort_by_key(|r| (r.0, r.1));
+        scene.meshes.clone_from(&assets.meshes);
+        scene.textures.clone_from(&assets.textures);
+        scene.materials.clone_from(&assets.materials);
+        scene.instances = rows.iter().map(|r| r.2).collect();
+        scene.structure_revision = scene.revision;
+        index.entities = rows.iter().map(|r| r.1).collect();
+        index.instance_of = rows.iter().enumerate().map(|(i, r)| (r.1, i as u32)).collect();
+    } else {
+        for (entity, transform) in &moved {
+            let Some(&i) = index.instance_of.get(&entity) else {
+                continue;
+            };
+            let now = affine(transform);
+            let was = &mut scene.instances[i as usize].world_from_object;
+            // Change detection marks writes, not changes: a body at rest that is written each step has not moved.
+            if *was != now {
+                *was = now;
+                scene.moved.push(i);
+            }
+        }
+        scene.moved.sort_unstable();
+    }
+
+    let mut rows: Vec<(Entity, Light)> = lights.iter().map(|(e, id, l, t)| (e, light(id, l, t))).collect();
+    rows.sort_by_key(|(e, l)| (l.stable_id, *e));
+    scene.lights.clear();
+    scene.lights.extend(rows.iter().map(|r| r.1));
+
+    if let Some((_, _, projection, transform)) = cameras.iter().min_by_key(|c| (c.1, c.0)) {
+        let m = affine(transform);
+        scene.camera = Camera {
+            world_from_view: Affine3 { matrix3: orthonormal(m.matrix3), translation: m.translation },
+            projection: projection.projection,
+            near: projection.near,
+        };
+    }
+}
+
+fn affine(t: &GlobalTransform) -> Affine3 {
+    let a = t.affine();
+    Affine3 { matrix3: Mat3::from(a.matrix3), translation: Vec3::from(a.translation) }
+}
+
+/// Rotation part of `m`: its -Z kept, scale and shear removed.
+fn orthonormal(m: Mat3) -> Mat3 {
+    let z = m.z_axis.normalize_or(Vec3::Z);
+    let x = m.y_axis.cross(z).normalize_or(crate::math::orthonormal_basis(z).0);
+    Mat3::from_cols(x, z.cross(x), z)
+}
+
+fn light(id: &StableId, l: &LightSource, t: &GlobalTransform) -> Light {
+    let m = affine(t);
+    let pose = orthonormal(m.matrix3);
+    Light {
+        stable_id: id.0,
+        kind: l.kind,
+        position_world: m.translation,
+        direction_world: -pose.z_axis,
+        up_world: pose.y_axis,
+        intensity: l.intensity,
+        radius: l.radius,
+    }
+}

@@ -1,0 +1,179 @@
+//! Surface materials: Blinn-Phong, mirror, glass, emissive.
+
+use glam::{Vec2, Vec3};
+
+/// What lies beyond a texture's edge.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(u32)]
+pub enum Wrap {
+    /// The image again.
+    #[default]
+    Repeat = 0,
+    /// The edge texel.
+    Clamp = 1,
+    /// The image mirrored.
+    Mirror = 2,
+}
+
+/// A texture as a material uses it.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct TextureRef {
+    /// Index into the scene's textures.
+    pub texture: u32,
+    /// Wrap rule along u and v.
+    pub wrap: [Wrap; 2],
+    /// Nearest texel instead of bilinear.
+    pub nearest: bool,
+    /// Which texture coordinate set of the mesh: 0 or 1.
+    pub uv_set: u32,
+    /// `KHR_texture_transform`: uv' = offset + rotation(scale * uv), rows (m00, m01, offset.x), (m10, m11, offset.y).
+    pub uv_transform: [[f32; 3]; 2],
+}
+
+impl Default for TextureRef {
+    fn default() -> Self {
+        Self {
+            texture: 0,
+            wrap: [Wrap::Repeat; 2],
+            nearest: false,
+            uv_set: 0,
+            uv_transform: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
+        }
+    }
+}
+
+impl TextureRef {
+    /// Applies `uv_transform`.
+    pub fn transform_uv(&self, uv: Vec2) -> Vec2 {
+        let [a, b] = self.uv_transform;
+        Vec2::new(a[0] * uv.x + a[1] * uv.y + a[2], b[0] * uv.x + b[1] * uv.y + b[2])
+    }
+}
+
+/// A surface. Radiance towards the viewer is
+///
+/// (1 − mirror)(1 − transmission) · [ diffuse · base_color/π · E + k_a · base_color · i_a ] + k_s-highlight + emissive
+/// + mirror · tint · reflected + (1 − mirror) · transmission · (Fresnel-weighted reflected and refracted)
+///
+/// where base_color is the factor times texture times vertex colour.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Material {
+    /// Lambertian albedo per channel, in [0, 1]; tint of mirror and glass. Linear.
+    pub base_color: Vec3,
+    /// Multiplies `base_color`; sRGB image.
+    pub base_color_texture: Option<TextureRef>,
+    /// Blinn-Phong k_a: share of the environment's ambient radiance, in [0, 1]. 0 in the five scenes.
+    pub ambient: f32,
+    /// Blinn-Phong k_d: weight of the Lambertian lobe, in [0, 1]. 1 for non-metals.
+    pub diffuse: f32,
+    /// Blinn-Phong k_s per channel, in [0, 1]; lobe k_s (α+8)/(8π) (N·H)^α.
+    pub specular: Vec3,
+    /// Blinn-Phong exponent α ≥ 0.
+    pub shininess: f32,
+    /// Emitted radiance per channel (both sides).
+    pub emissive: Vec3,
+    /// Multiplies `emissive`; sRGB image.
+    pub emissive_texture: Option<TextureRef>,
+    /// Share of perfect mirror, in [0, 1], tinted by base_color (the material mask's reflection factor).
+    pub mirror: f32,
+    /// Raises the mirror's tint towards white at grazing angles (Schlick 1994). Native materials only.
+    pub schlick: bool,
+    /// Share of smooth glass in the rest, in [0, 1] (the material mask's refraction factor).
+    pub transmission: f32,
+    /// Index of refraction of the glass, ≥ 1.
+    pub ior: f32,
+    /// Beer-Lambert: colour of white light after `attenuation_distance` inside, per channel in (0, 1].
+    pub attenuation_color: Vec3,
+    /// Beer-Lambert distance in metres; +infinity for clear glass.
+    pub attenuation_distance: f32,
+    /// Nested glass: where volumes overlap, the higher priority fills the space; equal: the one entered last.
+    pub priority: i32,
+    /// Shows base_color × texture as emitted radiance, lit by nothing (`KHR_materials_unlit`).
+    pub unlit: bool,
+}
+
+impl Default for Material {
+    fn default() -> Self {
+        Self {
+            base_color: Vec3::ONE,
+            base_color_texture: None,
+            ambient: 0.0,
+            diffuse: 1.0,
+            specular: Vec3::ZERO,
+            shininess: 32.0,
+            emissive: Vec3::ZERO,
+            emissive_texture: None,
+            mirror: 0.0,
+            schlick: false,
+            transmission: 0.0,
+            ior: 1.5,
+            attenuation_color: Vec3::ONE,
+            attenuation_distance: f32::INFINITY,
+            priority: 0,
+            unlit: false,
+        }
+    }
+}
+
+impl Material {
+    /// Matte surface of the given albedo.
+    pub fn lambert(base_color: Vec3) -> Self {
+        Self { base_color, ..Self::default() }
+    }
+    /// Share `mirror` of perfect reflection tinted by `base_color`, the rest matte.
+    pub fn mirror(base_color: Vec3, mirror: f32) -> Self {
+        Self { base_color, mirror, ..Self::default() }
+    }
+    /// Smooth clear glass.
+    pub fn glass(base_color: Vec3, ior: f32) -> Self {
+        Self { base_color, ior, transmission: 1.0, ..Self::default() }
+    }
+    /// Weight of the matte and ambient terms: (1 − mirror)(1 − transmission).
+    #[inline]
+    pub fn matte_weight(&self) -> f32 {
+        (1.0 - self.mirror) * (1.0 - self.transmission)
+    }
+    /// True where the tracer has work: a mirror or glass share over 0.
+    #[inline]
+    pub fn is_traced(&self) -> bool {
+        self.mirror > 0.0 || self.transmission > 0.0
+    }
+    /// First field that is out of its range, with its value.
+    pub fn invalid_field(&self) -> Option<(&'static str, f32)> {
+        let unit = |v: f32| (0.0..=1.0).contains(&v);
+        let colors = [
+            ("base_color", self.base_color),
+            ("specular", self.specular),
+            ("attenuation_color", self.attenuation_color),
+        ];
+        for (name, c) in colors {
+            if let Some(&v) = c.to_array().iter().find(|v| !v.is_finite() || **v < 0.0) {
+                return Some((name, v));
+            }
+        }
+        if let Some(&v) = self.emissive.to_array().iter().find(|v| !v.is_finite() || **v < 0.0) {
+            return Some(("emissive", v));
+        }
+        let factors = [
+            ("ambient", self.ambient),
+            ("diffuse", self.diffuse),
+            ("mirror", self.mirror),
+            ("transmission", self.transmission),
+        ];
+        for (name, v) in factors {
+            if !unit(v) {
+                return Some((name, v));
+            }
+        }
+        if !(self.shininess >= 0.0 && self.shininess.is_finite()) {
+            return Some(("shininess", self.shininess));
+        }
+        if !(self.ior >= 1.0 && self.ior.is_finite()) {
+            return Some(("ior", self.ior));
+        }
+        if self.attenuation_distance.is_nan() || self.attenuation_distance <= 0.0 {
+            return Some(("attenuation_distance", self.attenuation_distance));
+        }
+        None
+    }
+}
