@@ -1,0 +1,243 @@
+//! What a user can choose. Everything here but [`RendererOptions`] may change from frame to frame; every field says what
+//! more of it costs. A pixel is a function of (scene, pixel, these settings).
+
+/// Who makes direct and indirect light.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum RasterLane {
+    /// wgpu on a real GPU, the CPU twin on a software adapter or none.
+    #[default]
+    Auto,
+    /// The CPU twin: the same bits on every machine.
+    Cpu,
+    /// wgpu; an error where there is no adapter.
+    Gpu,
+}
+
+/// Shadows of point, spot and directional lights.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Shadows {
+    /// Filtered variance shadow maps (Donnelly & Lauritzen 2006).
+    #[default]
+    Moments,
+    /// Rays: one for a light of radius 0, else [`RenderSettings::shadow_samples`] on its disc.
+    Traced,
+    /// None.
+    Off,
+}
+
+/// Whether glass throws shadows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum GlassShadows {
+    /// Glass blocks light like matter.
+    #[default]
+    Opaque,
+    /// Light passes through glass as if it were not there.
+    Clear,
+}
+
+/// Visibility of virtual point lights.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum VplShadows {
+    /// None (the thesis): fast, leaks light behind occluders.
+    #[default]
+    Off,
+    /// One ray per pixel and VPL: slow, and the truth.
+    Traced,
+}
+
+/// Kind of each mesh's own tree.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum BlasKind {
+    /// Wide bounding volume hierarchy.
+    #[default]
+    Bvh,
+    /// The thesis's SAH kd-tree with short-stack traversal.
+    KdTree,
+}
+
+/// SIMD level of the CPU's kernels. All give the same bits.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum SimdLevel {
+    /// The best that the processor has.
+    #[default]
+    Auto,
+    /// Whatever the compile target guarantees (SSE2, NEON).
+    Portable,
+    /// 256-bit x86.
+    Avx2,
+    /// 512-bit x86.
+    Avx512,
+}
+
+/// Shadow moments.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MomentOptions {
+    /// Texels a side of a spot or directional light's map. Higher: finer contacts, quadratic cost.
+    pub size: u32,
+    /// Texels a side of each of a point light's six faces.
+    pub face_size: u32,
+    /// Floor on σ², in units of squared normalised depth, > 0. Higher: less acne, softer contacts.
+    pub min_variance: f32,
+    /// Visibility below this is cut to 0 and the rest stretched, in [0, 1). Higher: less light bleeding, thinner penumbrae.
+    pub light_bleed_reduction: f32,
+}
+
+impl Default for MomentOptions {
+    fn default() -> Self {
+        Self { size: 1024, face_size: 512, min_variance: 2e-7, light_bleed_reduction: 0.2 }
+    }
+}
+
+/// Virtual point lights.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct VplOptions {
+    /// Number of VPLs of all bounces together. Cost is linear in it; error falls with it.
+    pub count: u32,
+    /// Diffuse reflections before the last one to the camera path, ≥ 1.
+    pub bounces: u32,
+    /// Upper bound of cos·cos/d² in 1/m², as a multiple of 1/(scene's bounding radius)²; `None`: no bound (unbiased, with
+    /// bright spots near VPLs). Higher: less bias, more spots.
+    pub geometry_term_max: Option<f32>,
+    /// Their visibility.
+    pub shadows: VplShadows,
+}
+
+impl Default for VplOptions {
+    fn default() -> Self {
+        Self { count: 64, bounces: 2, geometry_term_max: Some(20.0), shadows: VplShadows::Off }
+    }
+}
+
+/// One frame's choices.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct RenderSettings {
+    /// Picture width in pixels, 1..=16384.
+    pub width: u32,
+    /// Picture height in pixels, 1..=16384.
+    pub height: u32,
+    /// Shadow method.
+    pub shadows: Shadows,
+    /// Rays per light of non-zero radius where shadows are traced. Higher: smoother penumbrae, linear cost.
+    pub shadow_samples: u32,
+    /// Whether glass throws shadows.
+    pub glass_shadows: GlassShadows,
+    /// Shadow-map options.
+    pub moments: MomentOptions,
+    /// Indirect light; `None`: off.
+    pub vpl: Option<VplOptions>,
+    /// Trace mirrors and glass. Off: those pixels keep only their matte share.
+    pub traced: bool,
+    /// Most interfaces (mirror or glass) on a path from the camera, ≥ 1. Higher: deeper nesting; cost up to 2^depth in glass.
+    pub max_depth: u32,
+    /// Rays whose weight falls below it (greatest channel) end. Lower: exact, dearer.
+    pub min_weight: f32,
+    /// Tile side in pixels of the CPU's work; never changes the picture.
+    pub tile: u32,
+    /// Seed of sampling patterns.
+    pub seed: u32,
+}
+
+impl Default for RenderSettings {
+    fn default() -> Self {
+        Self::preset(Preset::Interactive)
+    }
+}
+
+/// Bundles of settings, named by cost.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Preset {
+    /// 16 VPLs, depth 4: editing.
+    Draft,
+    /// 64 VPLs, depth 8: play.
+    #[default]
+    Interactive,
+    /// 1,024 VPLs with traced visibility, traced soft shadows, depth 16: stills.
+    High,
+}
+
+impl RenderSettings {
+    /// The settings of a preset at 1024 x 1024.
+    pub fn preset(preset: Preset) -> Self {
+        let base = Self {
+            width: 1024,
+            height: 1024,
+            shadows: Shadows::Moments,
+            shadow_samples: 16,
+            glass_shadows: GlassShadows::Opaque,
+            moments: MomentOptions::default(),
+            vpl: Some(VplOptions::default()),
+            traced: true,
+            max_depth: 8,
+            min_weight: 1.0 / 512.0,
+            tile: 32,
+            seed: 0,
+        };
+        match preset {
+            Preset::Draft => Self {
+                moments: MomentOptions { size: 512, face_size: 256, ..base.moments },
+                vpl: Some(VplOptions { count: 16, bounces: 1, ..VplOptions::default() }),
+                max_depth: 4,
+                min_weight: 1.0 / 64.0,
+                ..base
+            },
+            Preset::Interactive => base,
+            Preset::High => Self {
+                shadows: Shadows::Traced,
+                vpl: Some(VplOptions {
+                    count: 1024,
+                    bounces: 3,
+                    geometry_term_max: Some(200.0),
+                    shadows: VplShadows::Traced,
+                }),
+                max_depth: 16,
+                min_weight: 1.0 / 4096.0,
+                ..base
+            },
+        }
+    }
+
+    /// First field that is out of its range, in words.
+    pub fn invalid(&self) -> Option<String> {
+        if self.width == 0 || self.height == 0 || self.width > 16384 || self.height > 16384 {
+            return Some(format!("size {}x{} is outside 1x1 to 16384x16384", self.width, self.height));
+        }
+        if self.max_depth == 0 || self.max_depth > 64 {
+            return Some(format!("depth {} is outside 1 to 64", self.max_depth));
+        }
+        if !(self.tile.is_power_of_two() && (4..=256).contains(&self.tile)) {
+            return Some(format!("tile {} is not a power of two from 4 to 256", self.tile));
+        }
+        if self.shadow_samples == 0 || self.shadow_samples > 4096 {
+            return Some(format!("{} shadow samples are outside 1 to 4096", self.shadow_samples));
+        }
+        let m = self.moments;
+        if !(16..=8192).contains(&m.size) || !(16..=8192).contains(&m.face_size) {
+            return Some(format!("moment maps of {} and {} texels are outside 16 to 8192", m.size, m.face_size));
+        }
+        if !(m.min_variance > 0.0 && (0.0..1.0).contains(&m.light_bleed_reduction)) {
+            return Some("min_variance must be over 0 and light_bleed_reduction in [0, 1)".into());
+        }
+        if let Some(v) = self.vpl {
+            if v.count == 0 || v.count > 1 << 20 || v.bounces == 0 || v.bounces > 64 || v.bounces > v.count {
+                return Some(format!(
+                    "{} VPLs over {} bounces: 1 to 1048576 VPLs, 1 to 64 bounces",
+                    v.count, v.bounces
+                ));
+            }
+        }
+        None
+    }
+}
+
+/// What a renderer is made with.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct RendererOptions {
+    /// Raster lane.
+    pub raster: RasterLane,
+    /// Worker threads; 0: one a processor. Never changes the picture.
+    pub threads: usize,
+    /// SIMD level. Never changes the picture.
+    pub simd: SimdLevel,
+    /// Tree of each mesh. Never changes the picture.
+    pub blas: BlasKind,
+}
