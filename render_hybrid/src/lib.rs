@@ -3,7 +3,10 @@
 
 pub mod accel;
 pub mod error;
+pub mod output;
 pub mod settings;
+pub mod twin;
 
 pub use error::RenderError;
+pub use output::*;
 pub use settings::*;

@@ -135,6 +135,8 @@ pub struct RenderSettings {
     pub tile: u32,
     /// Seed of sampling patterns.
     pub seed: u32,
+    /// Keep every layer beside the final picture. Costs memory traffic, and read-back on the GPU lane.
+    pub keep_layers: bool,
 }
 
 impl Default for RenderSettings {
@@ -171,6 +173,7 @@ impl RenderSettings {
             min_weight: 1.0 / 512.0,
             tile: 32,
             seed: 0,
+            keep_layers: false,
         };
         match preset {
             Preset::Draft => Self {

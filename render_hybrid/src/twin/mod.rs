@@ -1,0 +1,6 @@
+//! The raster stages on the CPU, and the maths that CPU and GPU share. Functions here carry the names of their twins in
+//! `shaders/shared/*.wgsl`; tests/twins.rs evaluates both over tables of inputs.
+
+pub mod shading;
+pub mod shadow;
+pub mod vpl;
