@@ -3,10 +3,16 @@
 
 pub mod accel;
 pub mod error;
+mod frame;
 pub mod output;
+pub mod raster;
+mod renderer;
 pub mod settings;
+pub mod simd;
+pub mod trace;
 pub mod twin;
 
 pub use error::RenderError;
 pub use output::*;
+pub use renderer::Renderer;
 pub use settings::*;
