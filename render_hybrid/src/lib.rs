@@ -3,6 +3,9 @@
 
 pub mod accel;
 pub mod error;
+pub mod image_io;
+#[cfg(feature = "metrics")]
+pub mod metrics;
 pub mod output;
 pub mod settings;
 pub mod twin;
