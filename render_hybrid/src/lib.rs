@@ -4,6 +4,9 @@
 pub mod accel;
 pub mod error;
 mod frame;
+pub mod image_io;
+#[cfg(feature = "metrics")]
+pub mod metrics;
 pub mod output;
 pub mod raster;
 mod renderer;
