@@ -4,6 +4,7 @@
 pub mod accel;
 pub mod error;
 pub mod output;
+pub mod raster;
 pub mod settings;
 pub mod twin;
 
