@@ -1,1 +1,3 @@
-//! Placeholder.
+//! The five scenes of Catoptra and what the `catoptra` command is made of.
+
+pub mod scenes;

@@ -3,13 +3,19 @@
 
 pub mod accel;
 pub mod error;
+mod frame;
 pub mod image_io;
 #[cfg(feature = "metrics")]
 pub mod metrics;
 pub mod output;
+pub mod raster;
+mod renderer;
 pub mod settings;
+pub mod simd;
+pub mod trace;
 pub mod twin;
 
 pub use error::RenderError;
 pub use output::*;
+pub use renderer::Renderer;
 pub use settings::*;

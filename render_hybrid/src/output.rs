@@ -118,6 +118,21 @@ pub struct RayCounts {
     pub vpl: u64,
 }
 
+impl RayCounts {
+    /// Sum of both.
+    pub fn merged(self, o: Self) -> Self {
+        Self {
+            camera: self.camera + o.camera,
+            moments: self.moments + o.moments,
+            reflection: self.reflection + o.reflection,
+            refraction: self.refraction + o.refraction,
+            shadow: self.shadow + o.shadow,
+            photon: self.photon + o.photon,
+            vpl: self.vpl + o.vpl,
+        }
+    }
+}
+
 /// Wall-clock milliseconds per stage. Stages that run tile by tile share the tiles' wall time in proportion to the thread
 /// time that each took; with several threads the sum stays the frame's own time.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -1,0 +1,375 @@
+//! The whole frame, top to bottom.
+//!
+//! ```text
+//! scene -> two-level structure -> shadow moments -> VPLs -> per pixel: G-buffer + mask, direct, indirect, traced -> compose
+//! ```
+//!
+//! [`cpu_frame`] makes every stage on the CPU; [`gpu_frame`] leaves the per-pixel light to wgpu and traces the masked pixels
+//! on the CPU meanwhile. Both read the same scene, views, VPLs and structure.
+
+use catoptra_engine::RenderScene;
+use glam::Vec3;
+use rayon::prelude::*;
+use std::time::Instant;
+
+use crate::{
+    error::RenderError,
+    output::{Frame, FrameStats, Image, Layer, StageTimes},
+    raster::GpuRaster,
+    renderer::{FrameState, device_name, update_structures},
+    settings::{RasterLane, RenderSettings, Shadows, SimdLevel, VplShadows},
+    trace::{
+        camera_rays::{self, TracedLight},
+        shade::FrameContext,
+        whitted::{self, MaskedPixel},
+    },
+    twin::{
+        moments::render_moments,
+        shadow::ShadowPlan,
+        tile::{GBufferPixel, TileRect, TileScratch, TileStats, render_tile},
+    },
+};
+
+/// Makes one frame on the current rayon pool.
+pub(crate) fn render_frame(
+    state: &mut FrameState,
+    level: SimdLevel,
+    scene: &RenderScene,
+    settings: &RenderSettings,
+) -> Result<Frame, RenderError> {
+    if let Some(what) = settings.invalid() {
+        return Err(RenderError::Settings(what));
+    }
+    scene.validate()?;
+    let start = Instant::now();
+    let mut frame = Frame { image: Image::new(settings.width, settings.height), ..Frame::default() };
+    frame.stats.device = device_name(state, level);
+    match state.gpu.take() {
+        None => cpu_frame(state, level, scene, settings, &mut frame),
+        Some(mut gpu) => {
+            let made = gpu_frame(state, &mut gpu, level, scene, settings, &mut frame);
+            state.gpu = Some(gpu);
+            made?;
+        }
+    }
+    frame.stats.stages_ms.total = milliseconds(start);
+    Ok(frame)
+}
+
+/// Every stage on the CPU.
+fn cpu_frame(
+    state: &mut FrameState,
+    level: SimdLevel,
+    scene: &RenderScene,
+    settings: &RenderSettings,
+    frame: &mut Frame,
+) {
+    frame.stats.raster = RasterLane::Cpu;
+    structures(state, scene, settings, &mut frame.stats);
+    moments(state, level, scene, settings, &mut frame.stats);
+    virtual_lights(state, scene, settings, &mut frame.stats);
+    pixels(state, level, scene, settings, frame);
+}
+
+/// Light on the GPU, mirrors and glass on the CPU, at the same time.
+fn gpu_frame(
+    state: &mut FrameState,
+    gpu: &mut GpuRaster,
+    level: SimdLevel,
+    scene: &RenderScene,
+    settings: &RenderSettings,
+    frame: &mut Frame,
+) -> Result<(), RenderError> {
+    frame.stats.raster = RasterLane::Gpu;
+    // The GPU renders moments, G-buffer and mask while the CPU updates its structures and traces photons.
+    let plan = shadow_plan(scene, settings);
+    gpu.begin(scene, settings, &plan)?;
+    structures(state, scene, settings, &mut frame.stats);
+    virtual_lights(state, scene, settings, &mut frame.stats);
+
+    // Where visibility is traced, the CPU finds it.
+    let start = Instant::now();
+    let trace_lights = settings.shadows == Shadows::Traced;
+    let trace_vpls = settings.vpl.is_some_and(|v| v.shadows == VplShadows::Traced);
+    let mut traced = TracedLight::default();
+    if trace_lights || trace_vpls {
+        let ctx = context(state, level, scene, settings);
+        traced = camera_rays::trace_light(&ctx, trace_lights, trace_vpls, &mut frame.stats.rays);
+    }
+    let visibility = trace_lights.then_some(traced.visibility.as_slice());
+    let indirect = trace_vpls.then_some(traced.indirect.as_slice());
+    frame.stats.stages_ms.direct = milliseconds(start);
+
+    // The GPU lights all pixels while the CPU traces the masked ones.
+    let bound = geometry_term_max(scene, settings);
+    gpu.light(&state.photons.vpls, bound, visibility, indirect)?;
+    let start = Instant::now();
+    let masked = gpu.read_masked_pixels()?;
+    frame.stats.masked_pixels = masked.len() as u64;
+    if settings.traced && !masked.is_empty() && settings.shadows == Shadows::Moments {
+        state.maps.plan = plan;
+        state.maps.maps = gpu.read_moments()?;
+    }
+    frame.stats.stages_ms.transfer += milliseconds(start);
+    let start = Instant::now();
+    let traced = if settings.traced {
+        trace_masked(state, level, scene, settings, &masked, &mut frame.stats)
+    } else {
+        Vec::new()
+    };
+    frame.stats.stages_ms.traced = milliseconds(start);
+
+    let start = Instant::now();
+    gpu.compose(&traced)?;
+    frame.image = gpu.read_layer(Layer::Final)?;
+    if settings.keep_layers {
+        for (layer, _) in Layer::ALL.iter().filter(|(l, _)| *l != Layer::Final) {
+            frame.layers.push((*layer, gpu.read_layer(*layer)?));
+        }
+    }
+    frame.stats.stages_ms.transfer += milliseconds(start);
+    blacken_non_finite(&mut frame.image, &mut frame.stats);
+    (frame.stats.bytes_up, frame.stats.bytes_down) = gpu.counters();
+    gpu.take_pass_times(&mut frame.stats.stages_ms);
+    Ok(())
+}
+
+/// Two-level structure and normal matrices.
+fn structures(state: &mut FrameState, scene: &RenderScene, settings: &RenderSettings, stats: &mut FrameStats) {
+    let start = Instant::now();
+    let update = update_structures(state, scene, settings.glass_shadows);
+    stats.blas_builds = update.blas_builds;
+    stats.tlas_nodes_touched = update.tlas_nodes_touched;
+    stats.stages_ms.accel = milliseconds(start);
+}
+
+/// Which views the lights need; none unless shadows are moments.
+fn shadow_plan(scene: &RenderScene, settings: &RenderSettings) -> ShadowPlan {
+    match settings.shadows {
+        Shadows::Moments => ShadowPlan::new(&scene.lights, scene.bounds_world(), &settings.moments),
+        Shadows::Traced | Shadows::Off => ShadowPlan::default(),
+    }
+}
+
+/// Shadow moments and their blur.
+fn moments(
+    state: &mut FrameState,
+    level: SimdLevel,
+    scene: &RenderScene,
+    settings: &RenderSettings,
+    stats: &mut FrameStats,
+) {
+    let start = Instant::now();
+    let plan = shadow_plan(scene, settings);
+    let (maps, scratch) = (&mut state.maps, &mut state.blur_scratch);
+    stats.rays.moments = render_moments(maps, scratch, plan, scene, &state.accel, settings, level);
+    stats.stages_ms.moments = milliseconds(start);
+}
+
+/// Photons from the lights become VPLs.
+fn virtual_lights(state: &mut FrameState, scene: &RenderScene, settings: &RenderSettings, stats: &mut FrameStats) {
+    let start = Instant::now();
+    state.photons.vpls.clear();
+    if let Some(vpl) = &settings.vpl {
+        state.photons.trace(scene, &state.normals, &state.accel, vpl, settings.seed);
+        stats.rays.photon = state.photons.rays;
+    }
+    stats.vpls = state.photons.vpls.len() as u32;
+    stats.stages_ms.vpls = milliseconds(start);
+}
+
+/// Absolute bound of the VPLs' geometry term in 1/m²: the option is in units of 1/(scene radius)².
+fn geometry_term_max(scene: &RenderScene, settings: &RenderSettings) -> f32 {
+    let radius = scene.bounds_world().radius();
+    let bound = settings.vpl.and_then(|v| v.geometry_term_max).map_or(f32::INFINITY, |b| b / (radius * radius));
+    if bound.is_nan() { f32::INFINITY } else { bound }
+}
+
+fn context<'a>(
+    state: &'a FrameState,
+    level: SimdLevel,
+    scene: &'a RenderScene,
+    settings: &'a RenderSettings,
+) -> FrameContext<'a> {
+    FrameContext {
+        scene,
+        normals: &state.normals,
+        accel: &state.accel,
+        maps: &state.maps,
+        vpls: &state.photons.vpls,
+        geometry_term_max: geometry_term_max(scene, settings),
+        settings,
+        level,
+    }
+}
+
+/// All per-pixel stages of the CPU lane: bands of tiles in parallel, each tile through all its stages.
+fn pixels(state: &mut FrameState, level: SimdLevel, scene: &RenderScene, settings: &RenderSettings, frame: &mut Frame) {
+    let start = Instant::now();
+    let ctx = context(state, level, scene, settings);
+    let (width, tile) = (settings.width, settings.tile);
+    let mut layers: Vec<Image> = if settings.keep_layers {
+        KEPT.iter().map(|_| Image::new(settings.width, settings.height)).collect()
+    } else {
+        Vec::new()
+    };
+    let band_pixels = (width * tile) as usize;
+    // One list of row bands a picture, regrouped so that each task owns the same band of all of them.
+    let mut bands: Vec<Band> = frame
+        .image
+        .pixels
+        .chunks_mut(band_pixels)
+        .enumerate()
+        .map(|(i, image)| Band { y: i as u32 * tile, image, layers: Vec::new() })
+        .collect();
+    for layer in &mut layers {
+        for (band, pixels) in bands.iter_mut().zip(layer.pixels.chunks_mut(band_pixels)) {
+            band.layers.push(pixels);
+        }
+    }
+    let (stats, non_finite) = bands
+        .into_par_iter()
+        .with_max_len(1)
+        .map(|band| render_band(&ctx, &state.tiles, band))
+        .reduce(Default::default, |a, b| (a.0.merged(b.0), merge_non_finite(a.1, b.1)));
+    let wall = milliseconds(start);
+    let total: u64 = stats.nanos.iter().sum();
+    let share = |stage: usize| wall * stats.nanos[stage] as f64 / total.max(1) as f64;
+    let s = &mut frame.stats;
+    s.stages_ms = StageTimes {
+        gbuffer: share(0),
+        direct: share(1),
+        indirect: share(2),
+        traced: share(3),
+        compose: share(4),
+        ..s.stages_ms
+    };
+    s.rays = crate::output::RayCounts { moments: s.rays.moments, photon: s.rays.photon, ..stats.rays };
+    s.masked_pixels = stats.masked;
+    s.non_finite = non_finite;
+    frame.layers = KEPT.into_iter().zip(layers).collect();
+    if settings.keep_layers {
+        frame.layers.push((Layer::Moments, moments_image(state)));
+    }
+}
+
+/// Layers that the CPU lane writes tile by tile.
+const KEPT: [Layer; 7] =
+    [Layer::Direct, Layer::Indirect, Layer::Traced, Layer::Mask, Layer::Depth, Layer::Normal, Layer::Albedo];
+
+struct Band<'a> {
+    y: u32,
+    image: &'a mut [[f32; 3]],
+    layers: Vec<&'a mut [[f32; 3]]>,
+}
+
+type NonFinite = (u64, Option<(u32, u32)>);
+
+fn merge_non_finite(a: NonFinite, b: NonFinite) -> NonFinite {
+    let first = match (a.1, b.1) {
+        (Some(p), Some(q)) => Some(if (p.1, p.0) <= (q.1, q.0) { p } else { q }),
+        (p, q) => p.or(q),
+    };
+    (a.0 + b.0, first)
+}
+
+fn render_band(
+    ctx: &FrameContext,
+    scratches: &[std::sync::Mutex<TileScratch>],
+    mut band: Band,
+) -> (TileStats, NonFinite) {
+    let (width, tile) = (ctx.settings.width, ctx.settings.tile);
+    let rows = band.image.len() as u32 / width;
+    // Each worker has its own scratch, so the lock is free but for threads outside the pool, which share the first.
+    let own = rayon::current_thread_index().unwrap_or(0) % scratches.len();
+    let mut scratch = scratches[own].lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+    let mut stats = TileStats::default();
+    let mut non_finite = NonFinite::default();
+    for x in (0..width).step_by(tile as usize) {
+        let rect = TileRect { x, y: band.y, width: tile.min(width - x), height: rows };
+        stats = stats.merged(render_tile(ctx, rect, &mut scratch));
+        let start = Instant::now();
+        for (i, g) in scratch.gbuffer.iter().enumerate() {
+            let at = (g.pixel - band.y * width) as usize;
+            let radiance = scratch.direct[i] + scratch.indirect[i] + scratch.traced[i];
+            if radiance.is_finite() {
+                band.image[at] = radiance.to_array();
+            } else {
+                band.image[at] = [0.0; 3];
+                non_finite = merge_non_finite(non_finite, (1, Some((g.pixel % width, g.pixel / width))));
+            }
+            for (layer, out) in KEPT.iter().zip(&mut band.layers) {
+                out[at] = layer_value(ctx, *layer, g, &scratch, i).to_array();
+            }
+        }
+        stats.nanos[4] += start.elapsed().as_nanos() as u64;
+    }
+    (stats, non_finite)
+}
+
+fn layer_value(ctx: &FrameContext, layer: Layer, g: &GBufferPixel, scratch: &TileScratch, i: usize) -> Vec3 {
+    let Some(s) = &g.surface else {
+        return if layer == Layer::Direct { scratch.direct[i] } else { Vec3::ZERO };
+    };
+    let m = &ctx.scene.materials[s.material as usize];
+    match layer {
+        Layer::Direct => scratch.direct[i],
+        Layer::Indirect => scratch.indirect[i],
+        Layer::Traced => scratch.traced[i],
+        Layer::Mask => Vec3::new(m.mirror, (1.0 - m.mirror) * m.transmission, 0.0),
+        Layer::Depth => Vec3::splat(g.depth),
+        Layer::Normal => s.n_shading * 0.5 + 0.5,
+        Layer::Albedo => s.base_color,
+        Layer::Final | Layer::Moments => Vec3::ZERO,
+    }
+}
+
+fn moments_image(state: &FrameState) -> Image {
+    match (state.maps.plan.views.first(), state.maps.maps.first()) {
+        (Some(view), Some(map)) => {
+            Image { width: view.size, height: view.size, pixels: map.iter().map(|m| [m[0], m[1], 0.0]).collect() }
+        }
+        _ => Image::new(1, 1),
+    }
+}
+
+/// Whitted tracing of a list of masked pixels (GPU lane), in chunks over all threads.
+fn trace_masked(
+    state: &FrameState,
+    level: SimdLevel,
+    scene: &RenderScene,
+    settings: &RenderSettings,
+    masked: &[u32],
+    stats: &mut FrameStats,
+) -> Vec<(u32, [f32; 3])> {
+    let ctx = context(state, level, scene, settings);
+    let chunk = (settings.tile * settings.tile) as usize;
+    let (lists, counts): (Vec<Vec<(u32, [f32; 3])>>, Vec<_>) = masked
+        .par_chunks(chunk)
+        .map(|list| {
+            let mut counts = crate::output::RayCounts::default();
+            let (mut scratch, mut radiance) = (whitted::WhittedScratch::default(), Vec::new());
+            let pixels: Vec<MaskedPixel> = camera_rays::masked_pixels(&ctx, list, &mut counts);
+            whitted::trace(&ctx, &pixels, &mut scratch, &mut radiance, &mut counts);
+            let traced = pixels.iter().zip(&radiance).map(|(p, r)| (p.pixel, r.to_array())).collect();
+            (traced, counts)
+        })
+        .unzip();
+    stats.rays = counts.into_iter().fold(stats.rays, crate::output::RayCounts::merged);
+    lists.concat()
+}
+
+fn blacken_non_finite(image: &mut Image, stats: &mut FrameStats) {
+    let width = image.width as usize;
+    for (i, p) in image.pixels.iter_mut().enumerate() {
+        if !p.iter().all(|v| v.is_finite()) {
+            *p = [0.0; 3];
+            let place = ((i % width) as u32, (i / width) as u32);
+            stats.non_finite = merge_non_finite(stats.non_finite, (1, Some(place)));
+        }
+    }
+}
+
+fn milliseconds(start: Instant) -> f64 {
+    start.elapsed().as_secs_f64() * 1e3
+}

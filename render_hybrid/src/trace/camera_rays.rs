@@ -1,0 +1,100 @@
+//! Camera rays for the GPU lane: the CPU's own view of the pixels that it must trace or whose visibility it must know.
+//! Casting them anew costs less than reading a G-buffer back, and gives the surfaces that secondary rays start from.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::{
+    shade::{self, FrameContext},
+    surface::surface_at,
+    whitted::MaskedPixel,
+};
+use crate::{
+    accel::{Hit, Ray},
+    output::RayCounts,
+    twin::tile::{TileRect, TileScratch, fill_gbuffer, fill_indirect},
+};
+
+/// The surfaces behind a list of pixel numbers, in its order; pixels where the ray meets nothing are left out.
+pub fn masked_pixels(ctx: &FrameContext, list: &[u32], counts: &mut RayCounts) -> Vec<MaskedPixel> {
+    let (width, height) = (ctx.settings.width, ctx.settings.height);
+    let camera = &ctx.scene.camera;
+    let rays: Vec<Ray> =
+        list.iter().map(|p| camera_ray(camera, (p % width) as f32, (p / width) as f32, width, height)).collect();
+    let mut hits = vec![Hit::MISS; rays.len()];
+    ctx.accel.closest_hits(&rays, &mut hits);
+    counts.camera += rays.len() as u64;
+    rays.iter()
+        .zip(&hits)
+        .zip(list)
+        .filter(|((_, hit), _)| hit.is_hit())
+        .map(|((ray, hit), &pixel)| MaskedPixel {
+            pixel,
+            surface: surface_at(ctx.scene, ctx.normals, ray, hit),
+            direction: ray.direction,
+        })
+        .collect()
+}
+
+/// Ray through the centre of pixel (x, y) that starts at the camera's near distance.
+pub fn camera_ray(camera: &catoptra_engine::Camera, x: f32, y: f32, width: u32, height: u32) -> Ray {
+    let (origin, direction) = camera.ray(x + 0.5, y + 0.5, width, height);
+    // `near` is measured along the viewing direction.
+    let forward = -camera.world_from_view.matrix3.z_axis;
+    Ray { origin, direction, t_min: camera.near / forward.dot(direction), t_max: f32::INFINITY }
+}
+
+/// What the CPU knows of all pixels of a GPU-lane frame with traced visibility.
+#[derive(Default)]
+pub struct TracedLight {
+    /// Per light, per pixel: fraction of light that arrives. Empty unless shadows are traced.
+    pub visibility: Vec<Vec<f32>>,
+    /// Per pixel: indirect radiance. Empty unless VPL visibility is traced.
+    pub indirect: Vec<[f32; 3]>,
+}
+
+/// Traces light visibility (where `lights`) and indirect light (where `vpls`) of every pixel.
+pub fn trace_light(ctx: &FrameContext, lights: bool, vpls: bool, counts: &mut RayCounts) -> TracedLight {
+    let (width, height, tile) = (ctx.settings.width, ctx.settings.height, ctx.settings.tile);
+    let light_count = if lights { ctx.scene.lights.len() } else { 0 };
+    let bands: Vec<(Vec<Vec<f32>>, Vec<[f32; 3]>, RayCounts)> = (0..height.div_ceil(tile))
+        .into_par_iter()
+        .map(|band| {
+            let y = band * tile;
+            let rows = tile.min(height - y);
+            let n = (rows * width) as usize;
+            let mut visibility = vec![vec![1.0; n]; light_count];
+            let mut indirect = vec![[0.0; 3]; if vpls { n } else { 0 }];
+            let mut counts = RayCounts::default();
+            let mut scratch = TileScratch::default();
+            for x in (0..width).step_by(tile as usize) {
+                fill_gbuffer(ctx, TileRect { x, y, width: tile.min(width - x), height: rows }, &mut scratch);
+                counts.camera += scratch.gbuffer.len() as u64;
+                for g in &scratch.gbuffer {
+                    let Some(s) = &g.surface else { continue };
+                    for (light, plane) in visibility.iter_mut().enumerate() {
+                        let at = (g.pixel - y * width) as usize;
+                        plane[at] = shade::light_visibility(ctx, light as u32, s, g.pixel, &mut counts);
+                    }
+                }
+                if vpls {
+                    fill_indirect(ctx, &mut scratch, &mut counts);
+                    for (g, radiance) in scratch.gbuffer.iter().zip(&scratch.indirect) {
+                        let radiance: Vec3 = *radiance;
+                        indirect[(g.pixel - y * width) as usize] = radiance.to_array();
+                    }
+                }
+            }
+            (visibility, indirect, counts)
+        })
+        .collect();
+    let mut out = TracedLight { visibility: vec![Vec::new(); light_count], indirect: Vec::new() };
+    for (visibility, indirect, c) in bands {
+        for (plane, band) in out.visibility.iter_mut().zip(visibility) {
+            plane.extend(band);
+        }
+        out.indirect.extend(indirect);
+        *counts = counts.merged(c);
+    }
+    out
+}

@@ -1,0 +1,12 @@
+//! Rays on the CPU: surfaces behind hits, shading, light paths, the Whitted tracer and the reference path tracer.
+
+pub mod camera_rays;
+pub mod emission;
+pub mod media;
+pub mod photons;
+pub mod points;
+pub mod reference;
+pub mod sampling;
+pub mod shade;
+pub mod surface;
+pub mod whitted;

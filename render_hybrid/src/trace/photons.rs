@@ -1,0 +1,188 @@
+//! Light paths from the sources; each diffuse reflection becomes a VPL.
+//!
+//! Path i of a source is the same function of (scene, settings) in every frame: its start is a point of a Hammersley set in
+//! the light's own frame, its bounces are Halton dimensions. So VPLs move smoothly with the light, and slot i stays slot i.
+//! Source: Keller, "Instant Radiosity", SIGGRAPH 1997 (the quasi-random walk), with a fixed number of bounces.
+
+use catoptra_engine::RenderScene;
+use glam::{Vec2, Vec3};
+use rayon::prelude::*;
+
+use super::{
+    emission::{self, EmissiveTriangle},
+    sampling,
+    surface::{NormalMatrices, Surface, surface_at},
+};
+use crate::{
+    accel::{Accel, Hit, Ray},
+    settings::VplOptions,
+    twin::vpl::Vpl,
+};
+
+const PRIMES: [u32; 16] = [3, 5, 7, 11, 13, 17, 19, 23, 29, 31, 37, 41, 43, 47, 53, 59];
+
+/// Two Halton coordinates for bounce `bounce` of path `path`; past the primes, hashed ones.
+fn bounce_sample(path: u32, bounce: u32, seed: u32) -> Vec2 {
+    let d = 2 * bounce as usize;
+    let rotation = |dimension: u32| sampling::unit_f32(sampling::hash_combine(seed, 0x5eed ^ dimension));
+    if d + 1 < PRIMES.len() {
+        let x = sampling::radical_inverse(PRIMES[d], path + 1) + rotation(d as u32);
+        let y = sampling::radical_inverse(PRIMES[d + 1], path + 1) + rotation(d as u32 + 1);
+        Vec2::new(x.fract(), y.fract())
+    } else {
+        let h = sampling::hash_combine(sampling::hash_combine(path, bounce), seed);
+        Vec2::new(sampling::unit_f32(h), sampling::unit_f32(sampling::hash_u32(h)))
+    }
+}
+
+/// Memory of the photon stage, kept between frames.
+#[derive(Clone, Debug, Default)]
+pub struct Photons {
+    emissive: Vec<EmissiveTriangle>,
+    slots: Vec<Vpl>,
+    /// VPLs with flux, in the order of paths.
+    pub vpls: Vec<Vpl>,
+    /// Rays traced.
+    pub rays: u64,
+}
+
+/// One light path to trace.
+#[derive(Clone, Copy)]
+struct Path {
+    /// Light, or `lights.len()` for the emissive triangles.
+    source: u32,
+    /// Number within its source, and how many that source has.
+    index: u32,
+    of: u32,
+}
+
+impl Photons {
+    /// Traces all light paths; afterwards `vpls` holds at most `options.count` VPLs (a source beyond that number still
+    /// gets one path).
+    pub fn trace(
+        &mut self,
+        scene: &RenderScene,
+        normals: &NormalMatrices,
+        accel: &Accel,
+        options: &VplOptions,
+        seed: u32,
+    ) {
+        self.vpls.clear();
+        self.rays = 0;
+        emission::emissive_triangles(scene, &mut self.emissive);
+        let bounds = scene.bounds_world();
+        if bounds.is_empty() {
+            return;
+        }
+        // A path of a light makes up to `bounces` VPLs, one of an emissive surface one more, for its start.
+        let bounces = options.bounces;
+        let slots_a_path = if self.emissive.is_empty() { bounces } else { bounces + 1 } as usize;
+        let paths = (options.count / slots_a_path as u32).max(1);
+        let shares = emission::share_paths(scene, &self.emissive, bounds, paths);
+        let paths: Vec<Path> = shares
+            .iter()
+            .enumerate()
+            .flat_map(|(source, &of)| (0..of).map(move |index| Path { source: source as u32, index, of }))
+            .collect();
+        self.slots.clear();
+        self.slots.resize(paths.len() * slots_a_path, Vpl::default());
+        let emissive = &self.emissive;
+        let tracer = PathTracer { scene, normals, accel, emissive, bounds, bounces, seed };
+        self.rays = self
+            .slots
+            .par_chunks_mut(slots_a_path)
+            .with_min_len(16)
+            .zip(&paths)
+            .map(|(slots, path)| tracer.trace(*path, slots))
+            .sum();
+        self.vpls.extend(self.slots.iter().filter(|v| v.flux != Vec3::ZERO));
+    }
+}
+
+struct PathTracer<'a> {
+    scene: &'a RenderScene,
+    normals: &'a NormalMatrices,
+    accel: &'a Accel,
+    emissive: &'a [EmissiveTriangle],
+    bounds: catoptra_engine::Aabb,
+    bounces: u32,
+    seed: u32,
+}
+
+impl PathTracer<'_> {
+    /// Fills a path's slots; returns the number of rays.
+    fn trace(&self, path: Path, slots: &mut [Vpl]) -> u64 {
+        let shift = sampling::unit_f32(sampling::hash_combine(self.seed, 0xca70));
+        let xi = Vec2::new(
+            (path.index as f32 + 0.5) / path.of as f32,
+            (sampling::radical_inverse(2, path.index) + shift).fract(),
+        );
+        let share = 1.0 / path.of as f32;
+        let (mut ray, mut flux, mut used) = if (path.source as usize) < self.scene.lights.len() {
+            let e = emission::emit_from_light(&self.scene.lights[path.source as usize], self.bounds, xi);
+            (e.ray, e.flux * share, 0)
+        } else {
+            let vpl = self.emissive_start(path, xi, share);
+            slots[0] = vpl;
+            let d = sampling::cosine_direction(vpl.normal_world, bounce_sample(path.index, self.bounces, self.seed));
+            (Ray::new(vpl.position_world + vpl.normal_world * vpl.error, d), vpl.flux, 1)
+        };
+        let mut rays = 0;
+        for bounce in 0..self.bounces {
+            if flux == Vec3::ZERO {
+                break;
+            }
+            rays += 1;
+            let hit = self.accel.closest_hit(&ray);
+            if !hit.is_hit() {
+                break;
+            }
+            let s = surface_at(self.scene, self.normals, &ray, &hit);
+            let m = &self.scene.materials[s.material as usize];
+            // Mirror and glass end the photon; a mixed material reflects its matte share diffusely.
+            let albedo = if m.unlit { Vec3::ZERO } else { s.base_color * (m.diffuse * m.matte_weight()) };
+            flux *= albedo;
+            slots[used] = vpl_at(&s, flux);
+            used += 1;
+            let d = sampling::cosine_direction(s.n_shading, bounce_sample(path.index, bounce, self.seed));
+            ray = Ray::new(s.offset_origin(d), d);
+            if s.n_geometric.dot(d) <= 0.0 {
+                break;
+            }
+        }
+        rays
+    }
+
+    /// A VPL on an emissive surface: both sides radiate, the path takes one.
+    fn emissive_start(&self, path: Path, xi: Vec2, share: f32) -> Vpl {
+        let total = self.emissive.last().map_or(0.0, |t| t.cumulative);
+        let target = xi.x * total;
+        let at = self.emissive.partition_point(|t| t.cumulative <= target).min(self.emissive.len() - 1);
+        let t = &self.emissive[at];
+        let before = if at == 0 { 0.0 } else { self.emissive[at - 1].cumulative };
+        let probability = (t.cumulative - before) / total;
+        // The position within the triangle re-uses what is left of xi.x.
+        let left = ((target - before) / (t.cumulative - before)).clamp(0.0, 1.0);
+        let root = left.sqrt();
+        let hit = Hit {
+            t: 0.0,
+            u: root * (1.0 - xi.y),
+            v: root * xi.y,
+            instance_id: t.instance_id,
+            primitive_id: t.primitive_id,
+        };
+        let instance = &self.scene.instances[t.instance_id as usize];
+        let corners = self.scene.meshes[instance.mesh as usize]
+            .corners(t.primitive_id)
+            .map(|p| instance.world_from_object.transform_point3(p));
+        let n = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize_or(Vec3::Y);
+        let side = if path.index % 2 == 0 { n } else { -n };
+        let s = surface_at(self.scene, self.normals, &Ray::new(corners[0] + side, -side), &hit);
+        let flux = s.emission * (std::f32::consts::TAU * t.area / probability * share);
+        vpl_at(&s, flux)
+    }
+}
+
+fn vpl_at(s: &Surface, flux: Vec3) -> Vpl {
+    Vpl { position_world: s.position_world, normal_world: s.n_shading, flux, error: s.error }
+}

@@ -1,0 +1,306 @@
+//! The truth to judge by: a path tracer over the same structure, the same lights, materials and optics.
+//!
+//! Transport matches the hybrid picture's: pixel centres, lights as discs that face the shaded point, `bounces` diffuse
+//! reflections before the last one to the camera path, no caustics (a path that has left a matte surface ends at mirror and
+//! glass but for their matte share), Lambertian indirect light. Sample i of pixel p is a function of (scene, options, p, i).
+//! Source: Kajiya, "The Rendering Equation", SIGGRAPH 1986; next-event estimation after Shirley et al. 1996.
+
+use catoptra_engine::{Material, RenderScene};
+use glam::Vec3;
+use rayon::prelude::*;
+use std::f32::consts::PI;
+
+use super::{
+    camera_rays::camera_ray,
+    media::MediumStack,
+    sampling,
+    shade::{reflected_from_light, shadow_ray},
+    surface::{NormalMatrices, Surface, surface_at},
+    whitted::split,
+};
+use crate::{
+    accel::{Accel, Ray},
+    output::Image,
+    settings::{GlassShadows, RenderSettings},
+    twin::shading::{beer_lambert, reflect},
+};
+
+/// What to integrate.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ReferenceOptions {
+    /// Picture width in pixels.
+    pub width: u32,
+    /// Picture height in pixels.
+    pub height: u32,
+    /// Diffuse reflections before the last one to the camera path; 0: direct light only.
+    pub bounces: u32,
+    /// Most interfaces of mirror and glass on a path.
+    pub max_depth: u32,
+    /// Whether glass throws shadows.
+    pub glass_shadows: GlassShadows,
+    /// Seed of the sample patterns.
+    pub seed: u32,
+}
+
+impl ReferenceOptions {
+    /// Options whose transport matches the hybrid picture of `settings`.
+    pub fn matching(settings: &RenderSettings) -> Self {
+        Self {
+            width: settings.width,
+            height: settings.height,
+            bounces: settings.vpl.map_or(0, |v| v.bounces),
+            max_depth: settings.max_depth,
+            glass_shadows: settings.glass_shadows,
+            seed: settings.seed,
+        }
+    }
+}
+
+/// Sums of samples, in two halves whose difference tells the noise.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ReferenceAccumulator {
+    width: u32,
+    height: u32,
+    /// Even and odd samples.
+    sums: [Vec<[f64; 3]>; 2],
+    spp: u32,
+}
+
+impl ReferenceAccumulator {
+    /// Nothing integrated yet.
+    pub fn new(width: u32, height: u32) -> Self {
+        let zero = vec![[0.0; 3]; width as usize * height as usize];
+        Self { width, height, sums: [zero.clone(), zero], spp: 0 }
+    }
+
+    /// Samples per pixel so far.
+    pub fn spp(&self) -> u32 {
+        self.spp
+    }
+
+    /// The mean of all samples.
+    pub fn image(&self) -> Image {
+        self.mean(&|i| std::array::from_fn(|c| self.sums[0][i][c] + self.sums[1][i][c]), self.spp)
+    }
+
+    /// The mean of the even (0) or odd (1) samples: when the halves agree the picture can be judged by.
+    pub fn half(&self, which: usize) -> Image {
+        self.mean(&|i| self.sums[which][i], (self.spp + 1 - which as u32) / 2)
+    }
+
+    fn mean(&self, sum: &dyn Fn(usize) -> [f64; 3], n: u32) -> Image {
+        let scale = 1.0 / f64::from(n.max(1));
+        let pixels = (0..self.sums[0].len()).map(|i| sum(i).map(|v| (v * scale) as f32)).collect();
+        Image { width: self.width, height: self.height, pixels }
+    }
+
+    /// State for resuming, little-endian.
+    pub fn to_bytes(&self) -> Vec<u8> {
+        let mut out = Vec::with_capacity(20 + self.sums[0].len() * 48);
+        out.extend_from_slice(b"CATREF1\0");
+        for v in [self.width, self.height, self.spp] {
+            out.extend_from_slice(&v.to_le_bytes());
+        }
+        for v in self.sums.iter().flatten().flatten() {
+            out.extend_from_slice(&v.to_le_bytes());
+        }
+        out
+    }
+
+    /// Reads [`Self::to_bytes`]; `None` where the bytes are not such a state.
+    pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
+        let rest = bytes.strip_prefix(b"CATREF1\0")?;
+        let word = |i: usize| Some(u32::from_le_bytes(rest.get(4 * i..4 * i + 4)?.try_into().ok()?));
+        let (width, height, spp) = (word(0)?, word(1)?, word(2)?);
+        let n = width as usize * height as usize;
+        let data = rest.get(12..)?;
+        if data.len() != n.checked_mul(48)? {
+            return None;
+        }
+        let value = |i: usize| f64::from_le_bytes(data[8 * i..8 * i + 8].try_into().expect("eight bytes"));
+        let half = |h: usize| (0..n).map(|i| std::array::from_fn(|c| value((h * n + i) * 3 + c))).collect();
+        Some(Self { width, height, sums: [half(0), half(1)], spp })
+    }
+
+    /// Adds `samples` samples to every pixel, on the caller's rayon pool. Returns the number of rays.
+    pub(crate) fn add(
+        &mut self,
+        scene: &RenderScene,
+        normals: &NormalMatrices,
+        accel: &Accel,
+        options: &ReferenceOptions,
+        samples: u32,
+    ) -> u64 {
+        let width = self.width as usize;
+        let first = self.spp;
+        let [even, odd] = &mut self.sums;
+        let rays = even
+            .par_chunks_mut(width)
+            .zip(odd.par_chunks_mut(width))
+            .enumerate()
+            .map(|(y, (even, odd))| {
+                let mut rays = 0;
+                for x in 0..width {
+                    for index in first..first + samples {
+                        let pixel = (y * width + x) as u32;
+                        let mut path = Path { scene, normals, accel, options, pixel, index, dimension: 0, rays: 0 };
+                        let radiance = path.radiance(x as u32, y as u32);
+                        rays += path.rays;
+                        let sum = if index % 2 == 0 { &mut even[x] } else { &mut odd[x] };
+                        if radiance.is_finite() {
+                            for c in 0..3 {
+                                sum[c] += f64::from(radiance[c]);
+                            }
+                        }
+                    }
+                }
+                rays
+            })
+            .sum();
+        self.spp += samples;
+        rays
+    }
+}
+
+struct Path<'a> {
+    scene: &'a RenderScene,
+    normals: &'a NormalMatrices,
+    accel: &'a Accel,
+    options: &'a ReferenceOptions,
+    pixel: u32,
+    index: u32,
+    dimension: u32,
+    rays: u64,
+}
+
+impl Path<'_> {
+    /// The next two coordinates of this sample.
+    fn next_2d(&mut self) -> glam::Vec2 {
+        self.dimension += 1;
+        let seed = sampling::hash_combine(sampling::hash_combine(self.options.seed, self.pixel), self.dimension);
+        sampling::sobol_2d(self.index, seed)
+    }
+
+    fn radiance(&mut self, x: u32, y: u32) -> Vec3 {
+        let scene = self.scene;
+        let mut ray = camera_ray(&scene.camera, x as f32, y as f32, self.options.width, self.options.height);
+        let (mut radiance, mut throughput) = (Vec3::ZERO, Vec3::ONE);
+        let mut inside = MediumStack::default();
+        let (mut diffuse_bounces, mut interfaces, mut crossed) = (0, 0, 0);
+        loop {
+            self.rays += 1;
+            let hit = self.accel.closest_hit(&ray);
+            if let Some(medium) = inside.current(scene) {
+                let m = &scene.materials[scene.instances[medium as usize].material as usize];
+                throughput *= beer_lambert(m.attenuation_color, m.attenuation_distance, hit.t);
+            }
+            if !hit.is_hit() {
+                // The background is seen, directly and in mirrors, but lights nothing.
+                if diffuse_bounces == 0 {
+                    radiance += throughput * scene.environment.background;
+                }
+                return radiance;
+            }
+            let s = surface_at(scene, self.normals, &ray, &hit);
+            let m = &scene.materials[s.material as usize];
+            if diffuse_bounces == 0 || !m.unlit {
+                radiance += throughput * s.emission;
+            }
+            if m.unlit {
+                return radiance;
+            }
+            radiance += throughput * self.from_lights(&s, m, -ray.direction, diffuse_bounces == 0);
+            if diffuse_bounces == 0 {
+                let ambient = s.base_color * scene.environment.ambient * (m.ambient * m.matte_weight());
+                radiance += throughput * ambient;
+            }
+
+            // Choose one continuation in proportion to its weight: matte, reflected, transmitted.
+            let matte = s.base_color * (m.diffuse * m.matte_weight());
+            let mut matte_weight = if diffuse_bounces < self.options.bounces { matte.element_sum() } else { 0.0 };
+            let traced = m.is_traced() && diffuse_bounces == 0 && interfaces < self.options.max_depth;
+            let mut reflected_weight = 0.0;
+            let mut transmitted_weight = 0.0;
+            let mut optics = None;
+            if traced {
+                let o = split(scene, m, &s, ray.direction, inside);
+                if o.hidden {
+                    crossed += 1;
+                    if crossed > 4 * self.options.max_depth {
+                        return radiance;
+                    }
+                    inside = o.behind;
+                    ray = Ray::new(s.offset_origin(ray.direction), ray.direction);
+                    continue;
+                }
+                reflected_weight = o.reflected.element_sum();
+                transmitted_weight = if o.transmitted_direction.is_some() { o.transmitted.element_sum() } else { 0.0 };
+                optics = Some(o);
+            }
+            let total = matte_weight + reflected_weight + transmitted_weight;
+            if total <= 0.0 {
+                return radiance;
+            }
+            matte_weight /= total;
+            reflected_weight /= total;
+            transmitted_weight /= total;
+            let choice = self.next_2d().x;
+            if choice < matte_weight {
+                throughput *= matte / matte_weight;
+                let xi = self.next_2d();
+                let d = sampling::cosine_direction(s.n_shading, xi);
+                if s.n_geometric.dot(d) <= 0.0 {
+                    return radiance;
+                }
+                ray = Ray::new(s.offset_origin(d), d);
+                diffuse_bounces += 1;
+                inside = MediumStack::default();
+                continue;
+            }
+            let optics = optics.expect("a weight over zero came from it");
+            if choice < matte_weight + reflected_weight || transmitted_weight <= 0.0 {
+                throughput *= optics.reflected / reflected_weight;
+                let r = super::whitted::above_horizon(reflect(-ray.direction, s.n_shading), s.n_geometric);
+                ray = Ray::new(s.offset_origin(r), r);
+            } else {
+                throughput *= optics.transmitted / transmitted_weight;
+                let t = optics.transmitted_direction.expect("a weight over zero came with it");
+                inside = optics.behind;
+                ray = Ray::new(s.offset_origin(t), t);
+            }
+            interfaces += 1;
+            if throughput.max_element() < 1e-5 {
+                return radiance;
+            }
+        }
+    }
+
+    /// Next-event estimation: one point on the disc of every light.
+    /// * `highlight`: with the specular lobe (camera paths); without it the light is Lambertian, as VPLs are
+    fn from_lights(&mut self, s: &Surface, m: &Material, wo: Vec3, highlight: bool) -> Vec3 {
+        let lambert = Material { specular: Vec3::ZERO, ..*m };
+        let m = if highlight { m } else { &lambert };
+        let mut sum = Vec3::ZERO;
+        for light in 0..self.scene.lights.len() as u32 {
+            let xi = self.next_2d();
+            let unshadowed = reflected_from_light(self.scene, light, s, m, wo);
+            if unshadowed == Vec3::ZERO {
+                continue;
+            }
+            if let Some(ray) = shadow_ray(self.scene, light, s, sampling::concentric_disc(xi)) {
+                self.rays += 1;
+                if !self.accel.occluded(&ray) {
+                    sum += unshadowed;
+                }
+            }
+        }
+        sum
+    }
+}
+
+/// Radiance of uniform indirect light inside a closed Lambertian sphere (../shared/analytic sphere_indirect_uniform):
+/// (ρ/π)(I/R²) ρ (1 − ρᴺ)/(1 − ρ). What tests and docs hold the path tracer and the VPLs against.
+pub fn sphere_indirect_radiance(albedo: f32, intensity: f32, radius: f32, bounces: u32) -> f32 {
+    let rho_n = (0..bounces).fold(1.0, |p, _| p * albedo);
+    albedo / PI * intensity / (radius * radius) * albedo * (1.0 - rho_n) / (1.0 - albedo)
+}

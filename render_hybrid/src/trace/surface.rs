@@ -1,0 +1,136 @@
+//! From a hit to everything that shading needs to know of the place.
+
+use catoptra_engine::{RenderScene, TextureRef};
+use glam::{Mat3, Vec2, Vec3};
+
+use crate::accel::{Hit, Ray};
+
+/// A shaded place, world space. Both normals are unit and on the viewer's side (shading is two-sided).
+#[derive(Clone, Copy, Debug)]
+pub struct Surface {
+    /// The place, from barycentric coordinates (more exact than origin + t · direction).
+    pub position_world: Vec3,
+    /// Bound on the error of `position_world`, metres: secondary rays start this far off the surface.
+    pub error: f32,
+    /// Normal of the triangle.
+    pub n_geometric: Vec3,
+    /// Interpolated normal.
+    pub n_shading: Vec3,
+    /// The viewer is on the side from which the triangle winds counter-clockwise.
+    pub front: bool,
+    /// factor x texture x vertex colour.
+    pub base_color: Vec3,
+    /// Emitted radiance, `unlit` included.
+    pub emission: Vec3,
+    /// Index into the scene's materials.
+    pub material: u32,
+    /// Index into the scene's instances.
+    pub instance_id: u32,
+    /// Triangle of the mesh.
+    pub primitive_id: u32,
+}
+
+impl Surface {
+    /// A start for rays that leave to the side of `direction`, clear of the surface itself.
+    ///
+    /// Source: the idea of Wächter & Binder, "A Fast and Robust Method for Avoiding Self-Intersection", Ray Tracing Gems,
+    /// 2019; the bound here is that of the interpolated position.
+    #[inline]
+    pub fn offset_origin(&self, direction: Vec3) -> Vec3 {
+        let side = if self.n_geometric.dot(direction) >= 0.0 { 1.0 } else { -1.0 };
+        self.position_world + self.n_geometric * (side * self.error)
+    }
+}
+
+/// Normal matrices of all instances: cofactors of the 3x3 part with the determinant's sign, so that outward stays outward
+/// under mirroring. Kept between frames and recomputed where an instance moved.
+#[derive(Clone, Debug, Default)]
+pub struct NormalMatrices(Vec<Mat3>);
+
+impl NormalMatrices {
+    /// Computes all matrices; reuses the allocation.
+    pub fn update(&mut self, scene: &RenderScene) {
+        self.0.clear();
+        self.0.extend(scene.instances.iter().map(|i| normal_from_object(i.world_from_object.matrix3)));
+    }
+}
+
+/// Cofactor matrix times the determinant's sign.
+fn normal_from_object(m: Mat3) -> Mat3 {
+    // Scaled to unit size first: cofactors square the scale and would leave f32's range at the ends of the supported one.
+    let size = m.x_axis.abs().max(m.y_axis.abs()).max(m.z_axis.abs()).max_element();
+    let m = if size > 0.0 { m * (1.0 / size) } else { m };
+    let c = Mat3::from_cols(m.y_axis.cross(m.z_axis), m.z_axis.cross(m.x_axis), m.x_axis.cross(m.y_axis));
+    let sign = if m.x_axis.dot(c.x_axis) < 0.0 { -1.0 } else { 1.0 };
+    c * sign
+}
+
+/// The surface that `hit` met.
+pub fn surface_at(scene: &RenderScene, normals: &NormalMatrices, ray: &Ray, hit: &Hit) -> Surface {
+    let instance = &scene.instances[hit.instance_id as usize];
+    let mesh = &scene.meshes[instance.mesh as usize];
+    let material = &scene.materials[instance.material as usize];
+    let [i0, i1, i2] = mesh.triangles()[hit.primitive_id as usize].map(|i| i as usize);
+    let (u, v) = (hit.u, hit.v);
+    let w = 1.0 - u - v;
+
+    let p = mesh.positions();
+    let (p0, p1, p2) = (p[i0], p[i1], p[i2]);
+    let position_object = p0 * w + p1 * u + p2 * v;
+    let m = &instance.world_from_object;
+    let position_world = m.transform_point3(position_object);
+
+    // 32 units in the last place of the greatest term of the transform: above the rounding of interpolation, of this
+    // transform, and of the next ray's way back into object space.
+    let reach = p0.abs().max(p1.abs()).max(p2.abs());
+    let terms = m.matrix3.x_axis.abs() * reach.x
+        + m.matrix3.y_axis.abs() * reach.y
+        + m.matrix3.z_axis.abs() * reach.z
+        + m.translation.abs()
+        + position_world.abs();
+    let error = terms.max_element() * (32.0 * f32::EPSILON * 0.5);
+
+    let normal_matrix = &normals.0[hit.instance_id as usize];
+    // Edges are scaled before the cross product for the same reason as the matrices.
+    let (e1, e2) = (p1 - p0, p2 - p0);
+    let edge = e1.abs().max(e2.abs()).max_element();
+    let scale = if edge > 0.0 { 1.0 / edge } else { 1.0 };
+    let outward = (*normal_matrix * (e1 * scale).cross(e2 * scale)).normalize_or(-ray.direction.normalize_or(Vec3::Y));
+    let front = outward.dot(ray.direction) < 0.0;
+    let n_geometric = if front { outward } else { -outward };
+
+    let n = mesh.normals();
+    let interpolated = n[i0] * w + n[i1] * u + n[i2] * v;
+    let n_shading = (*normal_matrix * interpolated).normalize_or(n_geometric);
+    let n_shading = if n_shading.dot(n_geometric) < 0.0 { -n_shading } else { n_shading };
+
+    let uv = |r: &TextureRef| {
+        let set = if r.uv_set == 1 { mesh.uvs1() } else { mesh.uvs() };
+        if set.is_empty() { Vec2::ZERO } else { set[i0] * w + set[i1] * u + set[i2] * v }
+    };
+    let textured = |color: Vec3, r: &Option<TextureRef>| match r {
+        Some(r) => color * scene.textures[r.texture as usize].sample(r, uv(r)).truncate(),
+        None => color,
+    };
+    let mut base_color = textured(material.base_color, &material.base_color_texture);
+    let colors = mesh.colors();
+    if !colors.is_empty() {
+        base_color *= (colors[i0] * w + colors[i1] * u + colors[i2] * v).truncate();
+    }
+    let mut emission = textured(material.emissive, &material.emissive_texture);
+    if material.unlit {
+        emission += base_color;
+    }
+    Surface {
+        position_world,
+        error,
+        n_geometric,
+        n_shading,
+        front,
+        base_color,
+        emission,
+        material: instance.material,
+        instance_id: hit.instance_id,
+        primitive_id: hit.primitive_id,
+    }
+}

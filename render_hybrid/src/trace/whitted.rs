@@ -1,0 +1,246 @@
+//! Recursive ray tracing of mirrors and glass, wave by wave: all rays of a tile at one depth are traced and shaded together.
+//!
+//! Per pixel, radiance is summed in the order in which its own rays were spawned, which no other pixel influences: the
+//! result does not depend on tiles or threads. Shadows of hits come from the same maps (or rays) as those of directly seen
+//! surfaces, indirect light from the same VPLs.
+//! Source: Whitted, "An Improved Illumination Model for Shaded Display", CACM 1980.
+
+use catoptra_engine::Material;
+use glam::Vec3;
+
+use super::{
+    media::{self, MediumStack},
+    points::PointBatch,
+    shade::{self, FrameContext, VplRays},
+    surface::{Surface, surface_at},
+};
+use crate::{
+    accel::{Hit, Ray},
+    output::RayCounts,
+    twin::shading::{beer_lambert, fresnel_dielectric, reflect, refract, schlick},
+};
+
+/// A ray on its way, and what it will be worth.
+#[derive(Clone, Copy, Debug)]
+struct Branch {
+    ray: Ray,
+    weight: Vec3,
+    inside: MediumStack,
+    /// Slot of the pixel in the tile's list.
+    slot: u32,
+    /// Interfaces behind it.
+    depth: u32,
+    /// Surfaces behind it, hidden interfaces included: bounds the walk through coincident glass.
+    crossed: u32,
+    refraction: bool,
+}
+
+/// A pixel whose surface reflects or refracts.
+#[derive(Clone, Copy, Debug)]
+pub struct MaskedPixel {
+    /// Number of the picture's pixel.
+    pub pixel: u32,
+    /// What the camera sees there.
+    pub surface: Surface,
+    /// Unit direction of the camera ray.
+    pub direction: Vec3,
+}
+
+/// Memory of the tracer, kept between tiles.
+#[derive(Clone, Debug, Default)]
+pub struct WhittedScratch {
+    wave: Vec<Branch>,
+    next: Vec<Branch>,
+    rays: Vec<Ray>,
+    hits: Vec<Hit>,
+    shaded: Vec<(u32, Vec3, Vec3, Surface)>,
+    points: PointBatch,
+    vpl_rays: VplRays,
+}
+
+/// Traces all masked pixels; `radiance[i]` is set to what mirror and glass add to pixel i of the list.
+pub fn trace(
+    ctx: &FrameContext,
+    pixels: &[MaskedPixel],
+    scratch: &mut WhittedScratch,
+    radiance: &mut Vec<Vec3>,
+    counts: &mut RayCounts,
+) {
+    radiance.clear();
+    radiance.resize(pixels.len(), Vec3::ZERO);
+    let s = scratch;
+    s.wave.clear();
+    for (slot, p) in pixels.iter().enumerate() {
+        let arriving = Branch {
+            ray: Ray::new(p.surface.position_world, p.direction),
+            weight: Vec3::ONE,
+            inside: MediumStack::default(),
+            slot: slot as u32,
+            depth: 0,
+            crossed: 0,
+            refraction: false,
+        };
+        spawn(ctx, &arriving, &p.surface, &mut s.wave);
+    }
+    while !s.wave.is_empty() {
+        s.rays.clear();
+        s.rays.extend(s.wave.iter().map(|b| b.ray));
+        s.hits.clear();
+        s.hits.resize(s.rays.len(), Hit::MISS);
+        ctx.accel.closest_hits(&s.rays, &mut s.hits);
+        s.next.clear();
+        s.shaded.clear();
+        for (branch, hit) in s.wave.iter().zip(&s.hits) {
+            if branch.refraction {
+                counts.refraction += 1
+            } else {
+                counts.reflection += 1
+            }
+            let mut branch = *branch;
+            if let Some(medium) = branch.inside.current(ctx.scene) {
+                let m = &ctx.scene.materials[ctx.scene.instances[medium as usize].material as usize];
+                branch.weight *= beer_lambert(m.attenuation_color, m.attenuation_distance, hit.t);
+            }
+            if !hit.is_hit() {
+                radiance[branch.slot as usize] += branch.weight * ctx.scene.environment.background;
+                continue;
+            }
+            let surface = surface_at(ctx.scene, ctx.normals, &branch.ray, hit);
+            s.shaded.push((branch.slot, branch.weight, -branch.ray.direction, surface));
+            spawn(ctx, &branch, &surface, &mut s.next);
+        }
+        shade_wave(ctx, pixels, s, radiance, counts);
+        std::mem::swap(&mut s.wave, &mut s.next);
+    }
+}
+
+/// Adds local light of all hits of a wave: matte, highlight, emitted.
+fn shade_wave(
+    ctx: &FrameContext,
+    pixels: &[MaskedPixel],
+    s: &mut WhittedScratch,
+    radiance: &mut [Vec3],
+    counts: &mut RayCounts,
+) {
+    s.points.clear();
+    for (_, _, _, surface) in &s.shaded {
+        s.points.push(surface.position_world, surface.n_shading);
+    }
+    s.points.pad();
+    shade::indirect_light(ctx, &mut s.points, s.shaded.iter().map(|h| &h.3), &mut s.vpl_rays, counts);
+    for (i, (slot, weight, wo, surface)) in s.shaded.iter().enumerate() {
+        let m = &ctx.scene.materials[surface.material as usize];
+        let direct = shade::direct_light(ctx, surface, *wo, pixels[*slot as usize].pixel, counts);
+        let indirect = shade::indirect_albedo(m, surface) * s.points.irradiance(i);
+        radiance[*slot as usize] += *weight * (direct + indirect);
+    }
+}
+
+/// Continues `arriving`, which met `surface`, by a reflected and a refracted ray where the material says so.
+fn spawn(ctx: &FrameContext, arriving: &Branch, surface: &Surface, out: &mut Vec<Branch>) {
+    let m = &ctx.scene.materials[surface.material as usize];
+    if !m.is_traced() || arriving.depth >= ctx.settings.max_depth {
+        return;
+    }
+    let d = arriving.ray.direction;
+    let optics = interface(ctx, arriving, surface, m);
+    let child = Branch { depth: arriving.depth + 1, crossed: arriving.crossed + 1, ..*arriving };
+    let mut push = |branch: Branch| {
+        if branch.weight.max_element() >= ctx.settings.min_weight {
+            out.push(branch);
+        }
+    };
+    if optics.hidden {
+        if arriving.crossed < 4 * ctx.settings.max_depth {
+            let ray = Ray::new(surface.offset_origin(d), d);
+            push(Branch { ray, inside: optics.behind, depth: arriving.depth, refraction: true, ..child });
+        }
+        return;
+    }
+    if optics.reflected != Vec3::ZERO {
+        let r = above_horizon(reflect(-d, surface.n_shading), surface.n_geometric);
+        let ray = Ray::new(surface.offset_origin(r), r);
+        push(Branch { ray, weight: arriving.weight * optics.reflected, refraction: false, ..child });
+    }
+    if let Some(t) = optics.transmitted_direction {
+        let ray = Ray::new(surface.offset_origin(t), t);
+        let weight = arriving.weight * optics.transmitted;
+        push(Branch { ray, weight, inside: optics.behind, refraction: true, ..child });
+    }
+}
+
+/// How an interface splits light.
+#[derive(Clone, Copy, Debug)]
+pub struct Interface {
+    /// Weight of the mirrored ray.
+    pub reflected: Vec3,
+    /// Weight of the transmitted ray.
+    pub transmitted: Vec3,
+    /// Its direction; `None` at total internal reflection or without glass.
+    pub transmitted_direction: Option<Vec3>,
+    /// Media behind the surface.
+    pub behind: MediumStack,
+    /// A surface inside a volume of higher priority: nothing happens there.
+    pub hidden: bool,
+}
+
+fn interface(ctx: &FrameContext, arriving: &Branch, s: &Surface, m: &Material) -> Interface {
+    split(ctx.scene, m, s, arriving.ray.direction, arriving.inside)
+}
+
+/// Splits light that travels along unit `d` inside `inside` at a surface: mirror share, Fresnel-weighted glass share.
+///
+/// Shared by the Whitted tracer and the reference path tracer.
+pub fn split(
+    scene: &catoptra_engine::RenderScene,
+    m: &Material,
+    s: &Surface,
+    d: Vec3,
+    inside: MediumStack,
+) -> Interface {
+    let cos_i = s.n_shading.dot(-d).clamp(0.0, 1.0);
+    let tint = if m.schlick { schlick(s.base_color, cos_i) } else { s.base_color };
+    let mut out = Interface {
+        reflected: tint * m.mirror,
+        transmitted: Vec3::ZERO,
+        transmitted_direction: None,
+        behind: inside,
+        hidden: false,
+    };
+    let glass = (1.0 - m.mirror) * m.transmission;
+    if glass <= 0.0 {
+        return out;
+    }
+    let mesh = &scene.meshes[scene.instances[s.instance_id as usize].mesh as usize];
+    if !mesh.closed() {
+        // A thin pane: both faces at once, with the light that bounces between them, 2F/(1+F); no bend.
+        let f = fresnel_dielectric(cos_i, 1.0 / m.ior);
+        let r = 2.0 * f / (1.0 + f);
+        out.reflected += Vec3::splat(glass * r);
+        out.transmitted = s.base_color * (glass * (1.0 - r));
+        out.transmitted_direction = Some(d);
+        return out;
+    }
+    let c = media::crossing(scene, inside, s.instance_id, s.front);
+    out.behind = c.behind;
+    if c.from == c.to {
+        out.hidden = true;
+        return out;
+    }
+    let eta = media::ior_of(scene, c.from) / media::ior_of(scene, c.to);
+    let f = fresnel_dielectric(cos_i, eta);
+    out.reflected += Vec3::splat(glass * f);
+    if f < 1.0 {
+        out.transmitted = s.base_color * (glass * (1.0 - f));
+        out.transmitted_direction = refract(d, s.n_shading, eta).map(|t| -above_horizon(-t, s.n_geometric));
+    }
+    out
+}
+
+/// Keeps a direction that interpolated normals sent below the true surface just above it.
+#[inline]
+pub(crate) fn above_horizon(r: Vec3, n_geometric: Vec3) -> Vec3 {
+    const LEAST_COSINE: f32 = 1e-3;
+    let cos = r.dot(n_geometric);
+    if cos >= LEAST_COSINE { r } else { (r + n_geometric * (LEAST_COSINE - cos)).normalize_or(n_geometric) }
+}
