@@ -90,18 +90,14 @@ pub fn extract(
         scene.moved.sort_unstable();
     }
 
-    let mut rows: Vec<(Entity, Light)> = lights.iter().map(|(e, id, l, t)| (e, light(id, l, t))).collect();
+    let mut rows: Vec<(Entity, Light)> =
+        lights.iter().map(|(e, id, l, t)| (e, posed_light(id.0, l, &affine(t)))).collect();
     rows.sort_by_key(|(e, l)| (l.stable_id, *e));
     scene.lights.clear();
     scene.lights.extend(rows.iter().map(|r| r.1));
 
     if let Some((_, _, projection, transform)) = cameras.iter().min_by_key(|c| (c.1, c.0)) {
-        let m = affine(transform);
-        scene.camera = Camera {
-            world_from_view: Affine3 { matrix3: orthonormal(m.matrix3), translation: m.translation },
-            projection: projection.projection,
-            near: projection.near,
-        };
+        scene.camera = posed_camera(projection, &affine(transform));
     }
 }
 
@@ -117,11 +113,20 @@ fn orthonormal(m: Mat3) -> Mat3 {
     Mat3::from_cols(x, z.cross(x), z)
 }
 
-fn light(id: &StableId, l: &LightSource, t: &GlobalTransform) -> Light {
-    let m = affine(t);
+/// A camera component at the world pose `m`; scale and shear are dropped.
+pub(crate) fn posed_camera(c: &CameraProjection, m: &Affine3) -> Camera {
+    Camera {
+        world_from_view: Affine3 { matrix3: orthonormal(m.matrix3), translation: m.translation },
+        projection: c.projection,
+        near: c.near,
+    }
+}
+
+/// A light component at the world pose `m`; scale and shear are dropped.
+pub(crate) fn posed_light(stable_id: u64, l: &LightSource, m: &Affine3) -> Light {
     let pose = orthonormal(m.matrix3);
     Light {
-        stable_id: id.0,
+        stable_id,
         kind: l.kind,
         position_world: m.translation,
         direction_world: -pose.z_axis,

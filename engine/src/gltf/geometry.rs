@@ -1,0 +1,366 @@
+//! Primitives -> meshes: every index is checked, unused vertices are dropped, morph targets and skins are applied as the
+//! file poses them.
+
+use super::{
+    accessor::Accessor,
+    buffers::Buffers,
+    document::{Document, Primitive, has_extension, item},
+    error::{GltfError, within},
+    limits::ImportLimits,
+    report::Ignored,
+};
+use crate::mesh::{Mesh, MeshData};
+use glam::{Affine3, Mat3, Vec2, Vec3, Vec4};
+use std::{collections::BTreeMap, sync::Arc};
+
+/// Attributes that become part of a mesh.
+const USED: [&str; 5] = ["POSITION", "NORMAL", "TEXCOORD_0", "TEXCOORD_1", "COLOR_0"];
+
+/// How a node poses a mesh beyond its transform.
+#[derive(Default)]
+pub(super) struct Deform {
+    /// Morph weights, one a target.
+    pub weights: Vec<f32>,
+    /// Number of the skin, and one matrix a joint: world space from bind space.
+    pub skin: Option<(u32, Arc<[Affine3]>)>,
+}
+
+type Key = (Vec<(String, u32)>, Option<u32>, u32, Vec<u32>, Option<u32>);
+
+/// Builds meshes, sharing those that are built from the same data in the same way.
+pub(super) struct Geometry<'a> {
+    document: &'a Document,
+    buffers: &'a Buffers<'a>,
+    limits: &'a ImportLimits,
+    vertices: u64,
+    triangles: u64,
+    cache: BTreeMap<Key, Option<usize>>,
+    pub meshes: Vec<Arc<Mesh>>,
+}
+
+impl<'a> Geometry<'a> {
+    pub fn new(document: &'a Document, buffers: &'a Buffers<'a>, limits: &'a ImportLimits) -> Self {
+        Self { document, buffers, limits, vertices: 0, triangles: 0, cache: BTreeMap::new(), meshes: Vec::new() }
+    }
+
+    /// Number of the mesh of a primitive; `None` where it draws nothing (points, lines, no positions).
+    pub fn primitive(
+        &mut self,
+        primitive: &Primitive,
+        deform: &Deform,
+        place: &str,
+        ignored: &mut Ignored,
+    ) -> Result<Option<usize>, GltfError> {
+        let mut attributes = Vec::new();
+        for (name, &accessor) in &primitive.attributes {
+            let posed = deform.skin.is_some() && matches!(name.as_str(), "JOINTS_0" | "WEIGHTS_0");
+            if USED.contains(&name.as_str()) || posed {
+                attributes.push((name.clone(), accessor));
+            } else if (name.starts_with("TEXCOORD_") || name.starts_with("COLOR_"))
+                || (deform.skin.is_some() && name.starts_with("JOINTS_"))
+            {
+                ignored.note(format!("vertex attribute {name}"));
+            }
+        }
+        let weights = if primitive.targets.is_empty() { Vec::new() } else { deform.weights.clone() };
+        let bits =
+            if weights.iter().all(|w| *w == 0.0) { Vec::new() } else { weights.iter().map(|w| w.to_bits()).collect() };
+        // Targets are told apart by their accessors only where they are applied.
+        if !bits.is_empty() {
+            for (name, &accessor) in primitive.targets.iter().flatten() {
+                attributes.push((name.clone(), accessor));
+            }
+        }
+        let key = (attributes, primitive.indices, primitive.mode, bits, deform.skin.as_ref().map(|s| s.0));
+        if let Some(&known) = self.cache.get(&key) {
+            return Ok(known);
+        }
+        let built = match self.build(primitive, deform, place, ignored)? {
+            Some(data) => {
+                let mesh = Mesh::new(data).map_err(|e| GltfError::invalid(place, e.to_string()))?;
+                self.meshes.push(Arc::new(mesh));
+                Some(self.meshes.len() - 1)
+            }
+            None => None,
+        };
+        self.cache.insert(key, built);
+        Ok(built)
+    }
+
+    fn open(&self, index: u32, place: &str) -> Result<Accessor<'a>, GltfError> {
+        Accessor::open(self.document, self.buffers, index, place)
+    }
+
+    fn build(
+        &mut self,
+        primitive: &Primitive,
+        deform: &Deform,
+        place: &str,
+        ignored: &mut Ignored,
+    ) -> Result<Option<MeshData>, GltfError> {
+        let mode = match primitive.mode {
+            0 => "POINTS",
+            1 => "LINES",
+            2 => "LINE_LOOP",
+            3 => "LINE_STRIP",
+            4..=6 => "",
+            other => return Err(GltfError::invalid(place, format!("primitive mode {other} does not exist"))),
+        };
+        if !mode.is_empty() {
+            ignored.note(format!("{mode} primitives"));
+            return Ok(None);
+        }
+        let Some(&position) = primitive.attributes.get("POSITION") else {
+            ignored.note("primitives without POSITION");
+            return Ok(None);
+        };
+        let draco = "KHR_draco_mesh_compression";
+        let def = item(&self.document.accessors, position, "accessor", place)?;
+        if has_extension(&primitive.extensions, draco) && def.buffer_view.is_none() {
+            return Err(GltfError::Extension(draco.into()));
+        }
+        let positions = self.open(position, place)?;
+        if positions.components != 3 {
+            return Err(GltfError::invalid(place, "POSITION is not VEC3"));
+        }
+        within("vertices", positions.count as u64, self.limits.vertices)?;
+
+        // Triangles, by the file's vertex numbers.
+        let corners = Corners::open(self, primitive, positions.count, place)?;
+        let count = corners.triangle_count(primitive.mode);
+        if primitive.mode == 4 && corners.count % 3 != 0 {
+            ignored.note("corners beyond the last whole triangle");
+        }
+        self.triangles += count as u64;
+        within("triangles", self.triangles, self.limits.triangles)?;
+        let mut triangles = Vec::with_capacity(count);
+        for t in 0..count {
+            let [a, b, c] = corners_of(primitive.mode, t);
+            triangles.push([corners.vertex(a, place)?, corners.vertex(b, place)?, corners.vertex(c, place)?]);
+        }
+        let kept = compact(&mut triangles, positions.count);
+        let flat = !primitive.attributes.contains_key("NORMAL");
+        self.vertices += if flat { 3 * count as u64 } else { kept.len() as u64 };
+        within("vertices", self.vertices, self.limits.vertices)?;
+
+        let mut data = MeshData { triangles, ..Default::default() };
+        data.positions = kept.iter().map(|&v| Vec3::from(positions.read(v as usize, [0.0; 3]))).collect();
+        let attribute = |name: &str, components: std::ops::RangeInclusive<usize>| -> Result<_, GltfError> {
+            let Some(&index) = primitive.attributes.get(name) else {
+                return Ok(None);
+            };
+            let accessor = self.open(index, place)?;
+            if accessor.count != positions.count {
+                let why = format!("{name} has {} elements for {} positions", accessor.count, positions.count);
+                return Err(GltfError::invalid(place, why));
+            }
+            if !components.contains(&accessor.components) {
+                return Err(GltfError::invalid(place, format!("{name} has {} components", accessor.components)));
+            }
+            Ok(Some(accessor))
+        };
+        if let Some(a) = attribute("NORMAL", 3..=3)? {
+            data.normals = kept.iter().map(|&v| Vec3::from(a.read(v as usize, [0.0; 3]))).collect();
+        }
+        let uv = |a: Accessor| -> Vec<Vec2> {
+            let finite = |v: Vec2| if v.is_finite() { v } else { Vec2::ZERO };
+            kept.iter().map(|&v| finite(Vec2::from(a.read(v as usize, [0.0; 2])))).collect()
+        };
+        data.uvs = attribute("TEXCOORD_0", 2..=2)?.map_or_else(Vec::new, uv);
+        data.uvs1 = attribute("TEXCOORD_1", 2..=2)?.map_or_else(Vec::new, uv);
+        if let Some(a) = attribute("COLOR_0", 3..=4)? {
+            let a = a.force_normalized();
+            let unit = |x: f32| if x > 0.0 { x.min(1.0) } else { 0.0 };
+            data.colors = kept.iter().map(|&v| Vec4::from(a.read(v as usize, [1.0; 4]).map(unit))).collect();
+        }
+        self.morph(primitive, deform, &kept, &mut data, positions.count, place)?;
+        if let Some((skin, joints)) = &deform.skin {
+            let (Some(j), Some(w)) = (attribute("JOINTS_0", 4..=4)?, attribute("WEIGHTS_0", 4..=4)?) else {
+                return Err(GltfError::invalid(place, format!("skin {skin} needs JOINTS_0 and WEIGHTS_0")));
+            };
+            pose(&mut data, &kept, joints, &j, &w, place)?;
+        }
+        let limit = self.limits.coordinate;
+        if let Some(v) = data.positions.iter().position(|p| !(p.abs().max_element() <= limit)) {
+            let why =
+                format!("position of vertex {} is {:?}, the limit is {limit} m", kept[v], data.positions[v].to_array());
+            return Err(GltfError::invalid(place, why));
+        }
+        mend_normals(&mut data, ignored);
+        Ok(Some(data))
+    }
+
+    /// Adds weighted morph targets.
+    fn morph(
+        &self,
+        primitive: &Primitive,
+        deform: &Deform,
+        kept: &[u32],
+        data: &mut MeshData,
+        count: usize,
+        place: &str,
+    ) -> Result<(), GltfError> {
+        for (target, &weight) in primitive.targets.iter().zip(&deform.weights) {
+            if weight == 0.0 {
+                continue;
+            }
+            for (name, values) in [("POSITION", &mut data.positions), ("NORMAL", &mut data.normals)] {
+                let Some(&index) = target.get(name) else { continue };
+                let a = self.open(index, place)?;
+                if a.count != count || a.components != 3 {
+                    return Err(GltfError::invalid(place, format!("a morph target's {name} does not fit the mesh")));
+                }
+                for (value, &v) in values.iter_mut().zip(kept) {
+                    *value += Vec3::from(a.read(v as usize, [0.0; 3])) * weight;
+                }
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Renumbers vertices so that only used ones remain; returns their old numbers, ascending. Time and memory follow the
+/// smaller of triangles and vertices: many small primitives may share one huge vertex buffer.
+fn compact(triangles: &mut [[u32; 3]], vertices: usize) -> Vec<u32> {
+    if triangles.len() >= vertices / 16 {
+        let mut new_of = vec![u32::MAX; vertices];
+        triangles.iter().flatten().for_each(|&v| new_of[v as usize] = 0);
+        let mut kept = Vec::new();
+        for (old, new) in new_of.iter_mut().enumerate().filter(|(_, n)| **n == 0) {
+            *new = kept.len() as u32;
+            kept.push(old as u32);
+        }
+        triangles.iter_mut().flatten().for_each(|v| *v = new_of[*v as usize]);
+        return kept;
+    }
+    let mut kept: Vec<u32> = triangles.iter().flatten().copied().collect();
+    kept.sort_unstable();
+    kept.dedup();
+    for v in triangles.iter_mut().flatten() {
+        *v = kept.partition_point(|k| k < v) as u32;
+    }
+    kept
+}
+
+/// Linear blend skinning into world space.
+fn pose(
+    data: &mut MeshData,
+    kept: &[u32],
+    joints: &[Affine3],
+    j: &Accessor,
+    w: &Accessor,
+    place: &str,
+) -> Result<(), GltfError> {
+    if !j.is_index_type() {
+        return Err(GltfError::invalid(place, "JOINTS_0 must hold unsigned integers"));
+    }
+    for (i, &v) in kept.iter().enumerate() {
+        let weights = w.read(v as usize, [0.0; 4]);
+        let total: f32 = weights.iter().sum();
+        let mut sum = Affine3 { matrix3: Mat3::ZERO, translation: Vec3::ZERO };
+        for (joint, weight) in j.read_joints(v as usize).into_iter().zip(weights) {
+            if weight == 0.0 {
+                continue;
+            }
+            let Some(m) = joints.get(joint as usize) else {
+                let why = format!("vertex {v} names joint {joint}, but the skin has {}", joints.len());
+                return Err(GltfError::invalid(place, why));
+            };
+            let weight = if total > 0.0 { weight / total } else { 0.0 };
+            sum.matrix3 += m.matrix3 * weight;
+            sum.translation += m.translation * weight;
+        }
+        if total > 0.0 {
+            data.positions[i] = sum.transform_point3(data.positions[i]);
+            if let Some(n) = data.normals.get_mut(i) {
+                // The cofactor matrix carries normals, also where the blend is singular.
+                let m = sum.matrix3;
+                let cofactor =
+                    Mat3::from_cols(m.y_axis.cross(m.z_axis), m.z_axis.cross(m.x_axis), m.x_axis.cross(m.y_axis));
+                *n = cofactor * *n;
+            }
+        }
+    }
+    Ok(())
+}
+
+/// The corner list of a primitive: an index accessor, or the vertices in their order.
+struct Corners<'a> {
+    indices: Option<Accessor<'a>>,
+    count: usize,
+    vertices: usize,
+}
+
+impl<'a> Corners<'a> {
+    fn open(g: &Geometry<'a>, primitive: &Primitive, vertices: usize, place: &str) -> Result<Self, GltfError> {
+        let Some(index) = primitive.indices else {
+            return Ok(Self { indices: None, count: vertices, vertices });
+        };
+        let indices = g.open(index, place)?;
+        if indices.components != 1 || !indices.is_index_type() {
+            return Err(GltfError::invalid(place, "indices must be unsigned integer scalars"));
+        }
+        Ok(Self { count: indices.count, indices: Some(indices), vertices })
+    }
+
+    fn triangle_count(&self, mode: u32) -> usize {
+        if mode == 4 { self.count / 3 } else { self.count.saturating_sub(2) }
+    }
+
+    fn vertex(&self, corner: usize, place: &str) -> Result<u32, GltfError> {
+        let Some(a) = &self.indices else {
+            return Ok(corner as u32);
+        };
+        let v = a.read_index(corner);
+        if v == a.restart_value() {
+            return Err(GltfError::invalid(
+                place,
+                format!("index {corner} is {v}, which glTF forbids (primitive restart)"),
+            ));
+        }
+        if v as usize >= self.vertices {
+            return Err(GltfError::invalid(
+                place,
+                format!("index {corner} names vertex {v}, but there are {}", self.vertices),
+            ));
+        }
+        Ok(v)
+    }
+}
+
+/// Places in the corner list of triangle `t`: list, strip, fan, wound as glTF 2.0 section 3.7.2.1 says.
+fn corners_of(mode: u32, t: usize) -> [usize; 3] {
+    match mode {
+        5 => [t, t + 1 + t % 2, t + 2 - t % 2],
+        6 => [t + 1, t + 2, 0],
+        _ => [3 * t, 3 * t + 1, 3 * t + 2],
+    }
+}
+
+/// Makes every normal a unit vector; one that has no direction becomes the mean of its triangles' own.
+fn mend_normals(data: &mut MeshData, ignored: &mut Ignored) {
+    let mut broken = Vec::new();
+    for (i, n) in data.normals.iter_mut().enumerate() {
+        let length_squared = n.length_squared();
+        if (length_squared - 1.0).abs() <= 1e-5 {
+            continue; // Left as it is, so that what we wrote comes back bit for bit.
+        }
+        match n.try_normalize() {
+            Some(unit) => *n = unit,
+            None => broken.push(i),
+        }
+    }
+    if broken.is_empty() {
+        return;
+    }
+    let mut sum = vec![Vec3::ZERO; data.positions.len()];
+    for t in &data.triangles {
+        let [a, b, c] = t.map(|v| data.positions[v as usize]);
+        let n = (b - a).cross(c - a).normalize_or_zero();
+        t.iter().for_each(|&v| sum[v as usize] += n);
+    }
+    for i in broken {
+        ignored.note("vertex normals of no direction (taken from the triangles)");
+        data.normals[i] = sum[i].normalize_or(Vec3::Y);
+    }
+}

@@ -1,0 +1,242 @@
+//! glTF materials -> Blinn-Phong, mirror, glass.
+//!
+//! With metallic m, roughness r, base colour c and F0 = ((ior − 1)/(ior + 1))² · specularFactor · specularColorFactor:
+//!
+//! * r ≤ 0.01 counts as polished: mirror share m tinted by c, the rest (1 − m) Lambert, no highlight;
+//! * else diffuse k_d = 1 − m, k_s = lerp(F0 (1 − r), c, m), and the exponent whose Blinn-Phong lobe is as wide as the
+//!   microfacet one: α = 2/r⁴ − 2, at most [`MAX_SHININESS`]. A dielectric of roughness 1 is so pure Lambert, a metal of
+//!   roughness 1 (glTF's default) looks the same with albedo c;
+//! * transmission makes smooth glass of the dielectric share (1 − m) t, whatever r is.
+//!
+//! Source of the exponent: Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007
+//! (α_p = 2/α_b² − 2, with glTF's α_b = r²).
+
+use super::{
+    document::{MaterialDef, extension, own_extras},
+    error::GltfError,
+    report::Ignored,
+    textures::Textures,
+};
+use crate::material::Material;
+use glam::Vec3;
+use serde::Deserialize;
+use serde_json::{Map, Value};
+
+/// Largest Blinn-Phong exponent that an import makes (r = 0.105): beyond it highlights are smaller than pixels.
+pub const MAX_SHININESS: f32 = 16384.0;
+/// Perceptual roughness up to which a surface counts as polished.
+pub(super) const POLISHED: f32 = 0.01;
+
+/// Blinn-Phong exponent for glTF's perceptual roughness `r` in (0, 1]: 2/r⁴ − 2, in [0, [`MAX_SHININESS`]].
+pub fn shininess_from_roughness(r: f32) -> f32 {
+    let alpha = r * r;
+    (2.0 / (alpha * alpha).max(1e-12) - 2.0).clamp(0.0, MAX_SHININESS)
+}
+
+/// Perceptual roughness for a Blinn-Phong exponent: the inverse of [`shininess_from_roughness`].
+pub fn roughness_from_shininess(shininess: f32) -> f32 {
+    (2.0 / (shininess.max(0.0) + 2.0)).sqrt().sqrt()
+}
+
+/// Reflectance of a dielectric at normal incidence, ((ior − 1)/(ior + 1))².
+pub(super) fn f0(ior: f32) -> f32 {
+    let root = (ior - 1.0) / (ior + 1.0);
+    root * root
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+struct Specular {
+    specular_factor: f32,
+    specular_color_factor: [f32; 3],
+    specular_texture: Option<Value>,
+    specular_color_texture: Option<Value>,
+}
+
+impl Default for Specular {
+    fn default() -> Self {
+        Self {
+            specular_factor: 1.0,
+            specular_color_factor: [1.0; 3],
+            specular_texture: None,
+            specular_color_texture: None,
+        }
+    }
+}
+
+#[derive(Default, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+struct Transmission {
+    transmission_factor: f32,
+    transmission_texture: Option<Value>,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+struct Volume {
+    attenuation_distance: Option<f32>,
+    attenuation_color: Option<[f32; 3]>,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct Ior {
+    ior: Option<f32>,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+struct EmissiveStrength {
+    emissive_strength: Option<f32>,
+}
+
+/// Translates one material.
+pub(super) fn translate(
+    def: &MaterialDef,
+    place: &str,
+    textures: &mut Textures,
+    ignored: &mut Ignored,
+) -> Result<Material, GltfError> {
+    let pbr = &def.pbr_metallic_roughness;
+    let ext = &def.extensions;
+    let unit = |what: &str, v: f32| -> Result<f32, GltfError> {
+        if v.is_finite() {
+            Ok(v.clamp(0.0, 1.0))
+        } else {
+            Err(GltfError::invalid(place, format!("{what} is not finite")))
+        }
+    };
+    let unit3 = |what: &str, v: [f32; 3]| -> Result<Vec3, GltfError> {
+        Ok(Vec3::new(unit(what, v[0])?, unit(what, v[1])?, unit(what, v[2])?))
+    };
+    let mut m = Material::default();
+    let [red, green, blue, _] = pbr.base_color_factor.unwrap_or([1.0; 4]);
+    m.base_color = unit3("baseColorFactor", [red, green, blue])?;
+    if let Some(info) = &pbr.base_color_texture {
+        m.base_color_texture = textures.color(info, place, ignored)?;
+    }
+    let mut metallic = unit("metallicFactor", pbr.metallic_factor.unwrap_or(1.0))?;
+    let mut roughness = unit("roughnessFactor", pbr.roughness_factor.unwrap_or(1.0))?;
+    if let Some(info) = &pbr.metallic_roughness_texture
+        && let Some([g, b]) = textures.mean_roughness_metallic(info, place, ignored)?
+    {
+        roughness *= g;
+        metallic *= b;
+        ignored.note("metallicRoughnessTexture (its mean is used)");
+    }
+
+    // Emission.
+    let strength: EmissiveStrength = extension(ext, "KHR_materials_emissive_strength", place)?.unwrap_or_default();
+    let strength = strength.emissive_strength.unwrap_or(1.0);
+    m.emissive = Vec3::from(def.emissive_factor.unwrap_or([0.0; 3])) * strength;
+    if !m.emissive.is_finite() || m.emissive.min_element() < 0.0 {
+        return Err(GltfError::invalid(place, "emission is negative or not finite"));
+    }
+    if let Some(info) = &def.emissive_texture {
+        m.emissive_texture = textures.color(info, place, ignored)?;
+    }
+
+    // Glass.
+    let ior: Ior = extension(ext, "KHR_materials_ior", place)?.unwrap_or_default();
+    let ior = ior.ior.unwrap_or(1.5);
+    if ior.is_finite() && ior >= 1.0 {
+        m.ior = ior;
+    } else {
+        ignored.note(format!("index of refraction {ior} (1.5 is used)"));
+    }
+    let glass: Transmission = extension(ext, "KHR_materials_transmission", place)?.unwrap_or_default();
+    let transmission = unit("transmissionFactor", glass.transmission_factor)?;
+    if glass.transmission_texture.is_some() {
+        ignored.note("transmissionTexture");
+    }
+    if transmission > 0.0 && roughness > POLISHED {
+        ignored.note("roughness of transmission (glass is smooth)");
+    }
+    let volume: Volume = extension(ext, "KHR_materials_volume", place)?.unwrap_or_default();
+    m.attenuation_color = unit3("attenuationColor", volume.attenuation_color.unwrap_or([1.0; 3]))?;
+    if let Some(distance) = volume.attenuation_distance {
+        if distance > 0.0 {
+            m.attenuation_distance = distance;
+        } else {
+            ignored.note(format!("attenuationDistance {distance} (clear glass is used)"));
+        }
+    }
+
+    // Reflection.
+    let specular: Specular = extension(ext, "KHR_materials_specular", place)?.unwrap_or_default();
+    if specular.specular_texture.is_some() || specular.specular_color_texture.is_some() {
+        ignored.note("textures of KHR_materials_specular");
+    }
+    if roughness <= POLISHED {
+        m.mirror = metallic;
+        m.transmission = transmission;
+    } else {
+        let tint = Vec3::from(specular.specular_color_factor);
+        if !tint.is_finite() || !specular.specular_factor.is_finite() {
+            return Err(GltfError::invalid(place, "KHR_materials_specular is not finite"));
+        }
+        let dielectric =
+            (tint * (f0(m.ior) * specular.specular_factor)).clamp(Vec3::ZERO, Vec3::ONE) * (1.0 - roughness);
+        m.specular = dielectric.lerp(m.base_color, metallic);
+        m.shininess = shininess_from_roughness(roughness);
+        m.transmission = transmission * (1.0 - metallic);
+        // Material::matte_weight takes 1 - (1-m) t off; what must remain is (1-m)(1-t).
+        let matte = 1.0 - m.transmission;
+        m.diffuse = if matte > 0.0 { ((1.0 - metallic) * (1.0 - transmission) / matte).clamp(0.0, 1.0) } else { 0.0 };
+    }
+    m.unlit = ext.as_ref().is_some_and(|e| e.contains_key("KHR_materials_unlit"));
+
+    for (what, there) in [
+        ("normalTexture", def.normal_texture.is_some()),
+        ("occlusionTexture", def.occlusion_texture.is_some()),
+        ("alphaMode MASK (opaque is used)", def.alpha_mode.as_deref() == Some("MASK")),
+        ("alphaMode BLEND (opaque is used)", def.alpha_mode.as_deref() == Some("BLEND")),
+    ] {
+        if there {
+            ignored.note(what);
+        }
+    }
+    if let Some(own) = own_extras(&def.extras) {
+        apply_extras(&mut m, own);
+    }
+    match m.invalid_field() {
+        Some((field, value)) => Err(GltfError::invalid(place, format!("{field} comes out as {value}"))),
+        None => Ok(m),
+    }
+}
+
+/// Fields that glTF cannot say, as our own export wrote them.
+fn apply_extras(m: &mut Material, own: &Map<String, Value>) {
+    let number = |name: &str| own.get(name).and_then(Value::as_f64).map(|v| v as f32);
+    let color = |name: &str| {
+        let list = own.get(name)?.as_array()?;
+        let at = |i: usize| list.get(i).and_then(Value::as_f64).map(|v| v as f32);
+        Some(Vec3::new(at(0)?, at(1)?, at(2)?))
+    };
+    let set = |field: &mut f32, name: &str| {
+        if let Some(v) = number(name) {
+            *field = v;
+        }
+    };
+    set(&mut m.ambient, "ambient");
+    set(&mut m.diffuse, "diffuse");
+    set(&mut m.shininess, "shininess");
+    set(&mut m.mirror, "mirror");
+    set(&mut m.transmission, "transmission");
+    for (field, name) in [
+        (&mut m.specular, "specular"),
+        (&mut m.base_color, "base_color"),
+        (&mut m.attenuation_color, "attenuation_color"),
+        (&mut m.emissive, "emissive"),
+    ] {
+        if let Some(v) = color(name) {
+            *field = v;
+        }
+    }
+    if let Some(v) = own.get("schlick").and_then(Value::as_bool) {
+        m.schlick = v;
+    }
+    if let Some(v) = own.get("priority").and_then(Value::as_i64) {
+        m.priority = v as i32;
+    }
+}

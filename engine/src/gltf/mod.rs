@@ -1,0 +1,44 @@
+//! glTF 2.0 and GLB, in and out.
+//!
+//! **In**: [`load_gltf`] gives an [`ImportedScene`] (flat arrays), which [`ImportedScene::spawn`] turns into entities or
+//! [`ImportedScene::to_render_scene`] into a `RenderScene`. Nodes, meshes (lists, strips, fans; sparse, interleaved,
+//! normalised, quantised), morph targets and skins at the pose of the file, base-colour and emissive textures, samplers,
+//! cameras, and the extensions `KHR_lights_punctual`, `KHR_materials_{transmission, ior, volume, specular,
+//! emissive_strength, unlit}`, `KHR_mesh_quantization`, `KHR_texture_transform`. What each material becomes is written
+//! down with [`shininess_from_roughness`] and in the design's conventions: r = 0 is mirror of share metallic, closed glass
+//! refracts with or without a volume, shading is two-sided, light ranges and volume thickness are ignored. All else is
+//! listed in [`ImportReport::ignored`]; an extension that a file requires and that is not supported is an error by name.
+//!
+//! **Out**: [`export_glb`] writes the posed frame so that other renderers can draw it and [`load_gltf`] gets back the same
+//! instances, materials, lights and camera.
+//!
+//! **Contract**: files may be hostile. No input makes these functions panic, hang or allocate beyond
+//! [`ImportLimits`]; nothing outside the asset's folder is read, and no network place. Every index and size is checked
+//! before use; degenerate triangles are kept (no ray meets them); positions that are not finite are an error.
+
+mod accessor;
+mod buffers;
+mod container;
+mod document;
+mod error;
+mod export;
+mod geometry;
+mod import;
+mod limits;
+mod materials;
+mod nodes;
+mod punctual;
+mod report;
+mod scene;
+mod spawn;
+mod textures;
+mod uri;
+
+pub use error::GltfError;
+pub use export::{export_glb, export_glb_bytes};
+pub use import::{load_gltf, load_gltf_bytes};
+pub use limits::ImportLimits;
+pub use materials::{MAX_SHININESS, roughness_from_shininess, shininess_from_roughness};
+pub use report::ImportReport;
+pub use scene::{ImportedNode, ImportedPrimitive, ImportedScene};
+pub use spawn::Spawned;

@@ -1,0 +1,143 @@
+//! What an import yields: flat arrays, nodes with parents before children.
+
+use super::report::ImportReport;
+use crate::{
+    camera::Camera,
+    components::{CameraProjection, LightSource},
+    extract,
+    material::Material,
+    mesh::{Aabb, Mesh},
+    render_scene::{Environment, Instance, RenderScene},
+    texture::Texture,
+};
+use bevy_transform::components::Transform;
+use glam::Affine3;
+use std::sync::Arc;
+
+/// A mesh with its material, by their numbers in the [`ImportedScene`].
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ImportedPrimitive {
+    /// Index into [`ImportedScene::meshes`].
+    pub mesh: usize,
+    /// Index into [`ImportedScene::materials`].
+    pub material: usize,
+}
+
+/// One node of the shown scene.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImportedNode {
+    /// Name in the file.
+    pub name: Option<String>,
+    /// Index of the parent, always less than the node's own; `None` at the top.
+    pub parent: Option<usize>,
+    /// Pose relative to the parent, as bevy holds it. A sheared matrix of the file becomes two nodes, the second a child
+    /// of the first, whose product it is.
+    pub transform: Transform,
+    /// The same pose as a matrix; bit for bit the file's where the file gives a matrix without shear.
+    pub local: Affine3,
+    /// What it draws.
+    pub primitives: Vec<ImportedPrimitive>,
+    /// Light that shines along its -Z.
+    pub light: Option<LightSource>,
+    /// Camera that looks along its -Z.
+    pub camera: Option<CameraProjection>,
+}
+
+/// A scene read from a file: its default scene, else the first, else all nodes.
+#[derive(Clone, Debug, Default)]
+pub struct ImportedScene {
+    /// Meshes, each once however often it is drawn.
+    pub meshes: Vec<Arc<Mesh>>,
+    /// Materials that the scene uses.
+    pub materials: Vec<Material>,
+    /// Textures that the materials use.
+    pub textures: Vec<Arc<Texture>>,
+    /// Nodes, parents before children.
+    pub nodes: Vec<ImportedNode>,
+    /// Background and ambient light, where the file is one of our own exports.
+    pub environment: Option<Environment>,
+    /// Figures, and what was ignored.
+    pub report: ImportReport,
+}
+
+impl ImportedScene {
+    /// World pose of every node.
+    pub fn world_from_node(&self) -> Vec<Affine3> {
+        let mut out: Vec<Affine3> = Vec::with_capacity(self.nodes.len());
+        for node in &self.nodes {
+            let pose = node.parent.map_or(node.local, |p| out[p] * node.local);
+            out.push(pose);
+        }
+        out
+    }
+
+    /// Everything that is drawn: (mesh and material, world pose), in node order. Poses of no volume (a scale of 0 hides
+    /// things in many files) are left out, so that every pose can be inverted.
+    pub fn instances(&self) -> Vec<(ImportedPrimitive, Affine3)> {
+        let poses = self.world_from_node();
+        let drawn = self.nodes.iter().zip(poses).filter(|(_, pose)| invertible(pose));
+        drawn.flat_map(|(node, pose)| node.primitives.iter().map(move |p| (*p, pose))).collect()
+    }
+
+    /// Bounds of all instances, world space, metres; empty where nothing is drawn.
+    pub fn bounds_world(&self) -> Aabb {
+        self.instances()
+            .iter()
+            .fold(Aabb::EMPTY, |b, (p, pose)| b.union(self.meshes[p.mesh].bounds_object().transformed(pose)))
+    }
+
+    /// Triangles of all instances.
+    pub fn triangle_count(&self) -> usize {
+        self.instances().iter().map(|(p, _)| self.meshes[p.mesh].triangles().len()).sum()
+    }
+
+    /// The scene without an ECS: stable ids count up from `first_stable_id` as [`Self::spawn`] would give them. Without a
+    /// camera in the file it has the default one: see [`crate::fit`].
+    pub fn to_render_scene(&self, first_stable_id: u64) -> RenderScene {
+        let mut out = RenderScene {
+            meshes: self.meshes.clone(),
+            textures: self.textures.clone(),
+            materials: self.materials.clone(),
+            environment: self.environment.unwrap_or_default(),
+            ..Default::default()
+        };
+        let mut id = first_stable_id;
+        let mut next = || {
+            id += 1;
+            id - 1
+        };
+        let mut has_camera = false;
+        for (node, pose) in self.nodes.iter().zip(self.world_from_node()) {
+            for p in &node.primitives {
+                let stable_id = next();
+                if invertible(&pose) {
+                    let (mesh, material) = (p.mesh as u32, p.material as u32);
+                    out.instances.push(Instance { stable_id, mesh, material, world_from_object: pose });
+                }
+            }
+            if let Some(light) = &node.light {
+                out.lights.push(extract::posed_light(next(), light, &pose));
+            }
+            if let Some(camera) = &node.camera {
+                next();
+                if !std::mem::replace(&mut has_camera, true) {
+                    out.camera = extract::posed_camera(camera, &pose);
+                }
+            }
+        }
+        out
+    }
+
+    /// The camera that makes the picture, posed: the first in node order.
+    pub fn camera(&self) -> Option<Camera> {
+        let at = self.nodes.iter().position(|n| n.camera.is_some())?;
+        let pose = self.world_from_node()[at];
+        self.nodes[at].camera.as_ref().map(|c| extract::posed_camera(c, &pose))
+    }
+}
+
+/// True where a pose keeps volumes: renderers can turn rays back into object space.
+pub(super) fn invertible(pose: &Affine3) -> bool {
+    let inverse = pose.inverse();
+    pose.matrix3.determinant() != 0.0 && inverse.is_finite()
+}

@@ -1,0 +1,94 @@
+//! An imported scene as entities.
+
+use super::scene::{ImportedScene, invertible};
+use crate::{
+    assets::{Assets, MaterialId, MeshId},
+    components::{Hidden, MeshInstance, StableId},
+    extract::SceneEnvironment,
+};
+use bevy_ecs::{hierarchy::ChildOf, name::Name, prelude::*};
+use bevy_transform::components::Transform;
+
+/// The entities of one [`ImportedScene::spawn`].
+#[derive(Clone, Debug, PartialEq)]
+pub struct Spawned {
+    /// Parent of all; moving it moves the whole scene, despawning it removes the scene.
+    pub root: Entity,
+    /// One entity a node, in node order.
+    pub nodes: Vec<Entity>,
+    /// The camera that makes the picture (the first), if the file has one.
+    pub camera: Option<Entity>,
+    /// First stable id that is still free.
+    pub next_stable_id: u64,
+}
+
+impl ImportedScene {
+    /// Adds the assets to [`Assets`] and one entity a node, as children of a new root. A node's first mesh and its light or
+    /// camera live on its own entity, further meshes on children of it. Stable ids count up in node order from
+    /// `first_stable_id`: meshes, then light, then camera of each node. Meshes whose pose has no volume are spawned
+    /// [`Hidden`]. An environment of the file becomes the world's.
+    ///
+    /// # Panics
+    /// When a node was given a parent, mesh or material that is not in the scene.
+    pub fn spawn(&self, world: &mut World, first_stable_id: u64) -> Spawned {
+        let mut assets = world.get_resource_or_init::<Assets>();
+        let (first_mesh, first_material, first_texture) =
+            (assets.meshes.len(), assets.materials.len(), assets.textures.len() as u32);
+        assets.meshes.extend(self.meshes.iter().cloned());
+        assets.textures.extend(self.textures.iter().cloned());
+        assets.materials.extend(self.materials.iter().map(|m| {
+            let mut m = *m;
+            for t in [&mut m.base_color_texture, &mut m.emissive_texture].into_iter().flatten() {
+                t.texture += first_texture;
+            }
+            m
+        }));
+        if let Some(environment) = self.environment {
+            world.insert_resource(SceneEnvironment(environment));
+        }
+
+        let mut next_stable_id = first_stable_id;
+        let mut id = || {
+            next_stable_id += 1;
+            StableId(next_stable_id - 1)
+        };
+        let root = world.spawn(Transform::IDENTITY).id();
+        let mut nodes: Vec<Entity> = Vec::with_capacity(self.nodes.len());
+        let mut camera = None;
+        for (node, pose) in self.nodes.iter().zip(self.world_from_node()) {
+            let parent = node.parent.map_or(root, |p| nodes[p]);
+            let entity = world.spawn((node.transform, ChildOf(parent))).id();
+            nodes.push(entity);
+            if let Some(name) = &node.name {
+                world.entity_mut(entity).insert(Name::new(name.clone()));
+            }
+            let mut used = false;
+            for p in &node.primitives {
+                let instance = MeshInstance {
+                    mesh: MeshId((first_mesh + p.mesh) as u32),
+                    material: MaterialId((first_material + p.material) as u32),
+                };
+                let target = place(world, entity, &mut used);
+                world.entity_mut(target).insert((instance, id()));
+                if !invertible(&pose) {
+                    world.entity_mut(target).insert(Hidden);
+                }
+            }
+            if let Some(light) = node.light {
+                let target = place(world, entity, &mut used);
+                world.entity_mut(target).insert((light, id()));
+            }
+            if let Some(lens) = node.camera {
+                let target = place(world, entity, &mut used);
+                world.entity_mut(target).insert((lens, id()));
+                camera.get_or_insert(target);
+            }
+        }
+        Spawned { root, nodes, camera, next_stable_id }
+    }
+}
+
+/// The node's own entity the first time, then a child in the same place: an entity has one stable id.
+fn place(world: &mut World, node: Entity, used: &mut bool) -> Entity {
+    if std::mem::replace(used, true) { world.spawn((Transform::IDENTITY, ChildOf(node))).id() } else { node }
+}

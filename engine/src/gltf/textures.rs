@@ -1,0 +1,190 @@
+//! Images and samplers. Only images that a used material needs are decoded.
+
+use super::{
+    buffers::{Buffers, Source},
+    document::{Document, TextureInfo, extension, item},
+    error::{GltfError, within},
+    limits::ImportLimits,
+    report::Ignored,
+};
+use crate::{
+    material::{TextureRef, Wrap},
+    math,
+    texture::Texture,
+};
+use image::{ImageFormat, ImageReader, RgbaImage};
+use serde::Deserialize;
+use std::{collections::BTreeMap, io::Cursor, sync::Arc};
+
+/// Decodes images on demand and keeps the textures made of them.
+pub(super) struct Textures<'a> {
+    document: &'a Document,
+    buffers: &'a Buffers<'a>,
+    limits: &'a ImportLimits,
+    source: &'a mut Source,
+    pixels: u64,
+    known: BTreeMap<u32, u32>,
+    means: BTreeMap<u32, [f32; 2]>,
+    pub textures: Vec<Arc<Texture>>,
+}
+
+#[derive(Deserialize)]
+#[serde(default, rename_all = "camelCase")]
+struct Transform {
+    offset: [f32; 2],
+    rotation: f32,
+    scale: [f32; 2],
+    tex_coord: Option<u32>,
+}
+
+impl Default for Transform {
+    fn default() -> Self {
+        Self { offset: [0.0; 2], rotation: 0.0, scale: [1.0; 2], tex_coord: None }
+    }
+}
+
+impl<'a> Textures<'a> {
+    pub fn new(
+        document: &'a Document,
+        buffers: &'a Buffers<'a>,
+        limits: &'a ImportLimits,
+        source: &'a mut Source,
+    ) -> Self {
+        let (known, means) = Default::default();
+        Self { document, buffers, limits, source, pixels: 0, known, means, textures: Vec::new() }
+    }
+
+    /// A colour texture (sRGB) as a material uses it; `None` where it cannot be shown, which is noted.
+    pub fn color(
+        &mut self,
+        info: &TextureInfo,
+        place: &str,
+        ignored: &mut Ignored,
+    ) -> Result<Option<TextureRef>, GltfError> {
+        let transform: Transform = extension(&info.extensions, "KHR_texture_transform", place)?.unwrap_or_default();
+        let uv_set = transform.tex_coord.unwrap_or(info.tex_coord);
+        if uv_set > 1 {
+            ignored.note(format!("textures that use TEXCOORD_{uv_set}"));
+            return Ok(None);
+        }
+        let Some(image) = self.image_of(info, place, ignored)? else {
+            return Ok(None);
+        };
+        let texture = match self.known.get(&image) {
+            Some(&texture) => texture,
+            None => {
+                let pixels = self.decode(image)?;
+                let (width, height) = pixels.dimensions();
+                let texels = pixels.into_raw().as_chunks::<4>().0.to_vec();
+                let texture = Texture::new(width, height, texels, true)
+                    .map_err(|e| GltfError::invalid(format!("image {image}"), e.to_string()))?;
+                self.textures.push(Arc::new(texture));
+                let number = self.textures.len() as u32 - 1;
+                self.known.insert(image, number);
+                number
+            }
+        };
+        let def = item(&self.document.textures, info.index, "texture", place)?;
+        let mut out = TextureRef { texture, uv_set, ..TextureRef::default() };
+        if let Some(sampler) = def.sampler {
+            let s = item(&self.document.samplers, sampler, "sampler", &format!("texture {}", info.index))?;
+            out.wrap = [wrap(s.wrap_s, sampler)?, wrap(s.wrap_t, sampler)?];
+            out.nearest = match s.mag_filter {
+                Some(9728) => true,
+                None | Some(9729) => false,
+                Some(other) => {
+                    return Err(GltfError::invalid(
+                        format!("sampler {sampler}"),
+                        format!("magFilter {other} does not exist"),
+                    ));
+                }
+            };
+        }
+        let (sin, cos) = math::sin_cos(transform.rotation);
+        let ([sx, sy], [ox, oy]) = (transform.scale, transform.offset);
+        // Counter-clockwise as seen in the image, whose v points down.
+        out.uv_transform = [[cos * sx, sin * sy, ox], [-sin * sx, cos * sy, oy]];
+        if out.uv_transform.iter().flatten().any(|v| !v.is_finite()) {
+            return Err(GltfError::invalid(place, "KHR_texture_transform holds a value that is not finite"));
+        }
+        Ok(Some(out))
+    }
+
+    /// Mean of (G, B), linear, over a data texture: roughness and metalness of a metallic-roughness image.
+    pub fn mean_roughness_metallic(
+        &mut self,
+        info: &TextureInfo,
+        place: &str,
+        ignored: &mut Ignored,
+    ) -> Result<Option<[f32; 2]>, GltfError> {
+        let Some(image) = self.image_of(info, place, ignored)? else {
+            return Ok(None);
+        };
+        if let Some(&mean) = self.means.get(&image) {
+            return Ok(Some(mean));
+        }
+        let pixels = self.decode(image)?;
+        let mut sum = [0_u64; 2];
+        for p in pixels.pixels() {
+            sum[0] += u64::from(p.0[1]);
+            sum[1] += u64::from(p.0[2]);
+        }
+        let count = 255.0 * (u64::from(pixels.width()) * u64::from(pixels.height())) as f64;
+        let mean = sum.map(|s| (s as f64 / count) as f32);
+        self.means.insert(image, mean);
+        Ok(Some(mean))
+    }
+
+    fn image_of(&self, info: &TextureInfo, place: &str, ignored: &mut Ignored) -> Result<Option<u32>, GltfError> {
+        let def = item(&self.document.textures, info.index, "texture", place)?;
+        if def.source.is_none() {
+            let names: Vec<&str> = def.extensions.iter().flatten().map(|(k, _)| k.as_str()).collect();
+            ignored.note(match names.as_slice() {
+                [] => "textures without an image".to_string(),
+                names => format!("textures whose image only {} can read", names.join(", ")),
+            });
+        }
+        Ok(def.source)
+    }
+
+    fn decode(&mut self, index: u32) -> Result<RgbaImage, GltfError> {
+        let place = &format!("image {index}");
+        let def = item(&self.document.images, index, "image", "texture")?;
+        let owned;
+        let bytes = match (&def.uri, def.buffer_view) {
+            (_, Some(view)) => self.buffers.view(view, place)?.0,
+            (Some(uri), None) => {
+                owned = self.source.fetch(uri)?;
+                &owned
+            }
+            (None, None) => return Err(GltfError::invalid(place, "it has neither a uri nor a buffer view")),
+        };
+        let format = match image::guess_format(bytes) {
+            Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) => format,
+            _ => return Err(GltfError::invalid(place, "its bytes are neither PNG nor JPEG")),
+        };
+        let bad = |e: image::ImageError| GltfError::invalid(place, e.to_string());
+        let (width, height) = ImageReader::with_format(Cursor::new(bytes), format).into_dimensions().map_err(bad)?;
+        let pixels = u64::from(width) * u64::from(height);
+        within("pixels of an image", pixels, self.limits.image_pixels)?;
+        self.pixels += pixels;
+        within("pixels of all textures", self.pixels, self.limits.texture_pixels)?;
+        let mut reader = ImageReader::with_format(Cursor::new(bytes), format);
+        let mut limits = image::Limits::default();
+        // Sixteen bits a channel, the decoder's own buffers beside.
+        limits.max_alloc = Some(pixels.saturating_mul(16).saturating_add(16 << 20));
+        reader.limits(limits);
+        Ok(reader.decode().map_err(bad)?.into_rgba8())
+    }
+}
+
+fn wrap(code: Option<u32>, sampler: u32) -> Result<Wrap, GltfError> {
+    Ok(match code {
+        None | Some(10497) => Wrap::Repeat,
+        Some(33071) => Wrap::Clamp,
+        Some(33648) => Wrap::Mirror,
+        Some(other) => {
+            return Err(GltfError::invalid(format!("sampler {sampler}"), format!("wrap mode {other} does not exist")));
+        }
+    })
+}
