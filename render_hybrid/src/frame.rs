@@ -91,7 +91,7 @@ fn gpu_frame(
     // Where visibility is traced, the CPU finds it.
     let start = Instant::now();
     let trace_lights = settings.shadows == Shadows::Traced;
-    let trace_vpls = settings.vpl.is_some_and(|v| v.shadows == VplShadows::Traced);
+    let trace_vpls = settings.vpl.is_some_and(|v| v.shadows != VplShadows::Off);
     let mut traced = TracedLight::default();
     if trace_lights || trace_vpls {
         let ctx = context(state, level, scene, settings);
@@ -176,13 +176,16 @@ fn moments(
     stats.stages_ms.moments = milliseconds(start);
 }
 
-/// Photons from the lights become VPLs.
+/// Photons from the lights become VPLs; then the VPLs' shadow maps.
 fn virtual_lights(state: &mut FrameState, scene: &RenderScene, settings: &RenderSettings, stats: &mut FrameStats) {
     let start = Instant::now();
     state.photons.vpls.clear();
     if let Some(vpl) = &settings.vpl {
         state.photons.trace(scene, &state.normals, &state.accel, vpl, settings.seed);
         stats.rays.photon = state.photons.rays;
+        let size = if vpl.shadows == VplShadows::Maps { vpl.map_size } else { 0 };
+        let (maps, accel) = (&mut state.vpl_maps, &state.accel);
+        stats.rays.vpl_maps = maps.render(&state.photons.vpls, size, scene, accel, settings.glass_shadows);
     }
     stats.vpls = state.photons.vpls.len() as u32;
     stats.stages_ms.vpls = milliseconds(start);
@@ -207,6 +210,7 @@ fn context<'a>(
         accel: &state.accel,
         maps: &state.maps,
         vpls: &state.photons.vpls,
+        vpl_maps: &state.vpl_maps,
         geometry_term_max: geometry_term_max(scene, settings),
         settings,
         level,
@@ -254,7 +258,7 @@ fn pixels(state: &mut FrameState, level: SimdLevel, scene: &RenderScene, setting
         compose: share(4),
         ..s.stages_ms
     };
-    s.rays = crate::output::RayCounts { moments: s.rays.moments, photon: s.rays.photon, ..stats.rays };
+    s.rays = s.rays.merged(stats.rays);
     s.masked_pixels = stats.masked;
     s.non_finite = non_finite;
     frame.layers = KEPT.into_iter().zip(layers).collect();

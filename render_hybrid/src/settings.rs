@@ -41,6 +41,8 @@ pub enum VplShadows {
     /// None (the thesis): fast, leaks light behind occluders.
     #[default]
     Off,
+    /// A small octahedral depth map each, made by rays: a few texels per pixel and VPL.
+    Maps,
     /// One ray per pixel and VPL: slow, and the truth.
     Traced,
 }
@@ -100,11 +102,14 @@ pub struct VplOptions {
     pub geometry_term_max: Option<f32>,
     /// Their visibility.
     pub shadows: VplShadows,
+    /// Texels a side of a VPL's map where `shadows` are maps: 16, 32 or 64. Higher: finer contacts, harder edges, quadratic
+    /// cost in rays and memory (4 bytes a texel).
+    pub map_size: u32,
 }
 
 impl Default for VplOptions {
     fn default() -> Self {
-        Self { count: 64, bounces: 2, geometry_term_max: Some(20.0), shadows: VplShadows::Off }
+        Self { count: 64, bounces: 2, geometry_term_max: Some(20.0), shadows: VplShadows::Maps, map_size: 32 }
     }
 }
 
@@ -194,6 +199,7 @@ impl RenderSettings {
                     bounces: 3,
                     geometry_term_max: Some(200.0),
                     shadows: VplShadows::Traced,
+                    ..VplOptions::default()
                 }),
                 max_depth: 16,
                 min_weight: 1.0 / 4096.0,
@@ -229,6 +235,9 @@ impl RenderSettings {
                     "{} VPLs over {} bounces: 1 to 1048576 VPLs, 1 to 64 bounces",
                     v.count, v.bounces
                 ));
+            }
+            if ![16, 32, 64].contains(&v.map_size) {
+                return Some(format!("VPL maps of {} texels: 16, 32 or 64", v.map_size));
             }
         }
         None

@@ -176,6 +176,9 @@ pub struct PictureArgs {
     /// Shadows of virtual point lights
     #[arg(long, value_enum)]
     pub vpl_shadows: Option<VplShadowsArg>,
+    /// Texels a side of a virtual point light's shadow map: 16, 32 or 64
+    #[arg(long, value_name = "N")]
+    pub vpl_map_size: Option<u32>,
     /// Bound of the VPLs' geometry term in units of 1/(bounding radius)^2, or `off` for none (no bias, bright spots)
     #[arg(long, value_name = "X|off", value_parser = parse_bound)]
     pub vpl_bound: Option<Bound>,
@@ -251,10 +254,6 @@ impl PictureArgs {
         if self.shadow_filter == Some(ShadowFilter::Evsm4) {
             return Err(Failure::missing("--shadow-filter evsm4", "this filter is not in this version; use `vsm`"));
         }
-        if self.vpl_shadows == Some(VplShadowsArg::Maps) {
-            let what = "shadow maps of VPLs are not in this version; use `off` or `traced`";
-            return Err(Failure::missing("--vpl-shadows maps", what));
-        }
         if self.budget.is_some() {
             return Err(Failure::missing("--budget", "ray budgets are not in this version; leave it out"));
         }
@@ -309,9 +308,11 @@ impl PictureArgs {
         if let Some(Bound(bound)) = self.vpl_bound {
             v.geometry_term_max = bound;
         }
+        v.map_size = self.vpl_map_size.unwrap_or(v.map_size);
         if let Some(shadows) = self.vpl_shadows {
             v.shadows = match shadows {
-                VplShadowsArg::Off | VplShadowsArg::Maps => hybrid::VplShadows::Off,
+                VplShadowsArg::Off => hybrid::VplShadows::Off,
+                VplShadowsArg::Maps => hybrid::VplShadows::Maps,
                 VplShadowsArg::Traced => hybrid::VplShadows::Traced,
             };
         }
@@ -392,7 +393,6 @@ mod tests {
             PictureArgs { tracer: Tracer::Rayquery, ..base.clone() },
             PictureArgs { shadows: Some(ShadowsArg::Certified), ..base.clone() },
             PictureArgs { shadow_filter: Some(ShadowFilter::Evsm4), ..base.clone() },
-            PictureArgs { vpl_shadows: Some(VplShadowsArg::Maps), ..base.clone() },
             PictureArgs { budget: Some(1), ..base.clone() },
         ];
         for args in refused {

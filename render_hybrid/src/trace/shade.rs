@@ -6,7 +6,7 @@ use glam::Vec3;
 use std::f32::consts::{FRAC_1_PI, TAU};
 
 use super::{
-    points::{PointBatch, accumulate_vpls},
+    points::{PointBatch, accumulate_shadowed_vpls, accumulate_vpls},
     sampling,
     surface::{NormalMatrices, Surface},
 };
@@ -18,6 +18,7 @@ use crate::{
         shading::blinn_phong_lobe,
         shadow::ShadowMaps,
         vpl::{Vpl, vpl_irradiance},
+        vpl_maps::VplMaps,
     },
 };
 
@@ -34,6 +35,8 @@ pub struct FrameContext<'a> {
     pub maps: &'a ShadowMaps,
     /// VPLs with flux; empty where indirect light is off.
     pub vpls: &'a [Vpl],
+    /// Their shadow maps; empty unless their visibility comes from maps.
+    pub vpl_maps: &'a VplMaps,
     /// Bound of the geometry term, 1/m²; +infinity: none.
     pub geometry_term_max: f32,
     /// The frame's settings.
@@ -140,9 +143,12 @@ pub fn indirect_light<'s>(
     if ctx.vpls.is_empty() || points.is_empty() {
         return;
     }
-    if shadows == VplShadows::Off {
-        accumulate_vpls(ctx.level, points, ctx.vpls, ctx.geometry_term_max);
-        return;
+    match shadows {
+        VplShadows::Off => return accumulate_vpls(ctx.level, points, ctx.vpls, ctx.geometry_term_max),
+        VplShadows::Maps => {
+            return accumulate_shadowed_vpls(ctx.level, points, ctx.vpls, ctx.vpl_maps, ctx.geometry_term_max);
+        }
+        VplShadows::Traced => {}
     }
     for vpl in ctx.vpls {
         scratch.clear();

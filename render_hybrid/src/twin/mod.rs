@@ -6,3 +6,4 @@ pub mod shading;
 pub mod shadow;
 pub mod tile;
 pub mod vpl;
+pub mod vpl_maps;
