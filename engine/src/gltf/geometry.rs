@@ -106,10 +106,6 @@ impl<'a> Geometry<'a> {
             4..=6 => "",
             other => return Err(GltfError::invalid(place, format!("primitive mode {other} does not exist"))),
         };
-        if !mode.is_empty() {
-            ignored.note(format!("{mode} primitives"));
-            return Ok(None);
-        }
         let Some(&position) = primitive.attributes.get("POSITION") else {
             ignored.note("primitives without POSITION");
             return Ok(None);
@@ -125,14 +121,23 @@ impl<'a> Geometry<'a> {
         }
         within("vertices", positions.count as u64, self.limits.vertices)?;
 
-        // Triangles, by the file's vertex numbers.
         let corners = Corners::open(self, primitive, positions.count, place)?;
+        if !mode.is_empty() {
+            // Not drawn, but a broken file is a broken file. Walking it counts as work.
+            self.triangles += corners.count as u64;
+            within("triangles", self.triangles, self.limits.triangles)?;
+            (0..corners.count).try_for_each(|i| corners.vertex(i, place).map(drop))?;
+            ignored.note(format!("{mode} primitives"));
+            return Ok(None);
+        }
+
+        // Triangles, by the file's vertex numbers.
         let count = corners.triangle_count(primitive.mode);
+        self.triangles += count as u64;
+        within("triangles", self.triangles, self.limits.triangles)?;
         if primitive.mode == 4 && corners.count % 3 != 0 {
             ignored.note("corners beyond the last whole triangle");
         }
-        self.triangles += count as u64;
-        within("triangles", self.triangles, self.limits.triangles)?;
         let mut triangles = Vec::with_capacity(count);
         for t in 0..count {
             let [a, b, c] = corners_of(primitive.mode, t);
