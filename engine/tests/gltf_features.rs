@@ -228,6 +228,7 @@ fn limits_are_named_with_their_values() {
         (ImportLimits { triangles: 1, ..default }, "triangles"),
         (ImportLimits { nodes: 0, ..default }, "nodes"),
         (ImportLimits { depth: 0, ..default }, "depth"),
+        (ImportLimits { instances: 0, ..default }, "instances"),
     ] {
         let error = load_gltf_bytes(&bytes, None, &limits).unwrap_err();
         assert!(matches!(error, GltfError::Limit { .. }) && error.to_string().contains(what), "{what}: {error}");
@@ -477,8 +478,8 @@ fn extensions_are_refused_or_listed_by_name() {
     }
 }
 
-#[test]
-fn morph_targets_and_skins_are_posed() {
+/// A morphed and a skinned mesh.
+fn posed_file() -> Vec<u8> {
     let mut bin = floats(&RIBBON[..9]);
     bin.extend(floats(&[0.0, 0.0, 4.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]));
     // Joints and weights: the first vertex is held by joint 1 alone, the others by halves.
@@ -509,7 +510,12 @@ fn morph_targets_and_skins_are_posed() {
             { "buffer": 0, "byteOffset": 84, "byteLength": 48 },
         ],
     });
-    let scene = load(&glb(json, &bin)).unwrap();
+    glb(json, &bin)
+}
+
+#[test]
+fn morph_targets_and_skins_are_posed() {
+    let scene = load(&posed_file()).unwrap();
     assert_eq!(scene.meshes[0].positions(), [Vec3::Z, Vec3::Y, Vec3::X]);
     assert_eq!(
         scene.meshes[1].positions(),
@@ -777,4 +783,88 @@ fn lights_out_of_range_are_refused() {
     ] {
         assert!(light(bad.clone()).unwrap_err().to_string().contains("light 0"), "{bad}");
     }
+}
+
+/// All places of a JSON value, as JSON pointers.
+fn pointers(value: &Value, at: String, out: &mut Vec<String>) {
+    match value {
+        Value::Object(map) => map.iter().for_each(|(k, v)| pointers(v, format!("{at}/{k}"), out)),
+        Value::Array(list) => list.iter().enumerate().for_each(|(i, v)| pointers(v, format!("{at}/{i}"), out)),
+        _ => {}
+    }
+    out.push(at);
+}
+
+/// Every value of rich, valid files replaced by hostile ones: whatever still loads is a valid scene.
+#[test]
+fn hostile_values_are_harmless() {
+    let hostile = [
+        json!(null),
+        json!(0),
+        json!(1),
+        json!(2),
+        json!(-1),
+        json!(255),
+        json!(65536),
+        json!(4294967295_u64),
+        json!(4294967296_u64),
+        json!(u64::MAX),
+        json!(i64::MIN),
+        json!(0.5),
+        json!(-1e-40),
+        json!(1e30),
+        json!(1e39),
+        json!(1e308),
+        json!(""),
+        json!("MAT4"),
+        json!("SCALAR"),
+        json!([]),
+        json!({}),
+        json!([0, 0, 0]),
+        json!(true),
+    ];
+    // Tight limits keep wrong counts from costing time; the point is what happens around them.
+    let limits = ImportLimits { vertices: 4096, triangles: 4096, image_pixels: 4096, ..Default::default() };
+    let (mut loaded, mut refused) = (0, 0);
+    for bytes in [export_glb_bytes(&native_scene()).unwrap(), posed_file()] {
+        let json_length = u32::from_le_bytes(bytes[12..16].try_into().unwrap()) as usize;
+        let json: Value = serde_json::from_slice(&bytes[20..20 + json_length]).unwrap();
+        let bin = &bytes[28 + json_length..];
+        let mut places = Vec::new();
+        pointers(&json, String::new(), &mut places);
+        for place in places.iter().filter(|p| !p.is_empty()) {
+            for value in &hostile {
+                let mut broken = json.clone();
+                *broken.pointer_mut(place).unwrap() = value.clone();
+                let result = if place.starts_with("/buffers") || place.starts_with("/asset") {
+                    let mut whole = b"glTF".to_vec();
+                    let mut text = serde_json::to_vec(&broken).unwrap();
+                    text.resize(text.len().next_multiple_of(4), b' ');
+                    whole.extend(2_u32.to_le_bytes());
+                    whole.extend((28 + text.len() as u32 + bin.len() as u32).to_le_bytes());
+                    whole.extend((text.len() as u32).to_le_bytes());
+                    whole.extend(b"JSON");
+                    whole.extend(&text);
+                    whole.extend((bin.len() as u32).to_le_bytes());
+                    whole.extend(b"BIN\0");
+                    whole.extend(bin);
+                    load_gltf_bytes(&whole, None, &limits)
+                } else {
+                    load_gltf_bytes(&glb(broken, bin), None, &limits)
+                };
+                match result {
+                    Ok(scene) => {
+                        scene.to_render_scene(0).validate().unwrap_or_else(|e| panic!("{place} = {value}: {e}"));
+                        loaded += 1;
+                    }
+                    Err(error) => {
+                        assert!(!error.to_string().contains('\n'), "{error}");
+                        refused += 1;
+                    }
+                }
+            }
+        }
+    }
+    println!("{loaded} loaded, {refused} refused");
+    assert!(loaded > 1000 && refused > 1000, "{loaded} loaded, {refused} refused");
 }

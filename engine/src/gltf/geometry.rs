@@ -146,6 +146,9 @@ impl<'a> Geometry<'a> {
         let kept = compact(&mut triangles, positions.count);
         let flat = !primitive.attributes.contains_key("NORMAL");
         self.vertices += if flat { 3 * count as u64 } else { kept.len() as u64 };
+        // A short file can name one large morph target many times over.
+        let targets = primitive.targets.iter().zip(&deform.weights).filter(|(_, w)| **w != 0.0).count();
+        self.vertices = self.vertices.saturating_add(targets as u64 * kept.len() as u64);
         within("vertices", self.vertices, self.limits.vertices)?;
 
         let mut data = MeshData { triangles, ..Default::default() };
@@ -364,8 +367,8 @@ fn mend_normals(data: &mut MeshData, ignored: &mut Ignored) {
         let n = (b - a).cross(c - a).normalize_or_zero();
         t.iter().for_each(|&v| sum[v as usize] += n);
     }
+    ignored.note("meshes with normals of no direction (taken from the triangles)");
     for i in broken {
-        ignored.note("vertex normals of no direction (taken from the triangles)");
         data.normals[i] = sum[i].normalize_or(Vec3::Y);
     }
 }
