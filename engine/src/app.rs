@@ -24,8 +24,8 @@ impl Plugin for EnginePlugin {
 
 /// An app with the engine in it, ready for entities. Call [`settle`] once they are there.
 pub fn new_app() -> App {
-    let mut app = App::empty();
-    app.add_plugins((bevy_app::MainSchedulePlugin, EnginePlugin));
+    let mut app = App::new();
+    app.add_plugins(EnginePlugin);
     app
 }
 

@@ -135,3 +135,77 @@ pub(crate) fn posed_light(stable_id: u64, l: &LightSource, m: &Affine3) -> Light
         radius: l.radius,
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::{Material, app, shapes};
+    use bevy_transform::components::Transform;
+
+    fn scene(app: &bevy_app::App) -> &RenderScene {
+        &app.world().resource::<Extracted>().0
+    }
+
+    /// Three boxes and a light, spawned in the order of `ids`.
+    fn world(ids: [u64; 3]) -> (bevy_app::App, [Entity; 3]) {
+        let mut app = app::new_app();
+        let mut assets = app.world_mut().resource_mut::<Assets>();
+        let mesh = assets.add_mesh(shapes::cuboid(Vec3::ONE, [Vec3::ONE; 6]));
+        let material = assets.add_material(Material::default());
+        let boxes = ids.map(|id| {
+            let place = Transform::from_xyz(id as f32, 0.0, 0.0);
+            app.world_mut().spawn((StableId(id), MeshInstance { mesh, material }, place)).id()
+        });
+        let light = LightSource { kind: Default::default(), intensity: Vec3::ONE, radius: 0.0 };
+        app.world_mut().spawn((StableId(9), light, Transform::from_xyz(0.0, 5.0, 0.0)));
+        app::settle(&mut app);
+        (app, boxes)
+    }
+
+    #[test]
+    fn order_of_spawning_does_not_show() {
+        let (a, _) = world([1, 2, 3]);
+        let (b, _) = world([3, 1, 2]);
+        assert_eq!(scene(&a).instances, scene(&b).instances);
+        assert_eq!(scene(&a).lights.len(), 1);
+        assert_eq!(scene(&a).triangle_count(), 36);
+    }
+
+    #[test]
+    fn only_what_moved_is_listed() {
+        let (mut app, boxes) = world([1, 2, 3]);
+        let structure = scene(&app).structure_revision;
+        app.update();
+        assert!(scene(&app).moved.is_empty());
+        app.world_mut().get_mut::<Transform>(boxes[1]).unwrap().translation.y = 4.0;
+        // Written with what it already was: not a move.
+        app.world_mut().get_mut::<Transform>(boxes[2]).unwrap().translation.y = 0.0;
+        app.update();
+        assert_eq!(scene(&app).moved, [1]);
+        assert_eq!(scene(&app).instances[1].world_from_object.translation.y, 4.0);
+        assert_eq!(scene(&app).structure_revision, structure);
+    }
+
+    #[test]
+    fn hiding_showing_and_despawning_restructure() {
+        let (mut app, boxes) = world([1, 2, 3]);
+        app.world_mut().entity_mut(boxes[0]).insert(Hidden);
+        app.update();
+        assert_eq!(scene(&app).instances.len(), 2);
+        assert_eq!(scene(&app).structure_revision, scene(&app).revision);
+        app.world_mut().entity_mut(boxes[0]).remove::<Hidden>();
+        app.update();
+        assert_eq!(scene(&app).instances.len(), 3);
+        app.world_mut().despawn(boxes[1]);
+        app.update();
+        assert_eq!(scene(&app).instances.iter().map(|i| i.stable_id).collect::<Vec<_>>(), [1, 3]);
+        // A body that moves while hidden is right when it is shown again.
+        app.world_mut().entity_mut(boxes[2]).insert(Hidden);
+        app.update();
+        app.world_mut().get_mut::<Transform>(boxes[2]).unwrap().translation.z = 7.0;
+        app.update();
+        app.world_mut().entity_mut(boxes[2]).remove::<Hidden>();
+        app.update();
+        assert_eq!(scene(&app).instances[1].world_from_object.translation.z, 7.0);
+    }
+}

@@ -1,35 +1,143 @@
 //! The two-level structure: a BLAS per mesh, a TLAS over instances. Moved bodies refit TLAS leaves and their ancestors only.
+//!
+//! Contract: a hit is a function of the ray and the triangles alone. It does not depend on the trees, on [`BlasKind`], on the
+//! SIMD level, on rays being taken singly or together, on threads, or on the updates that led to the scene. Closed meshes
+//! have no gaps along shared edges and vertices; open edges are not fattened. Equal distances go to the smaller
+//! (instance, primitive).
 
+mod blas;
+mod instance;
+mod node;
 mod ray;
+mod ray_space;
+mod simd;
+#[cfg(test)]
+mod tests;
+mod tlas;
+mod triangle;
+mod wide;
+mod world;
 
-use crate::{error::RenderError, settings::*};
-use catoptra_engine::RenderScene;
 pub use ray::{Hit, Ray};
+
+use crate::{BlasKind, RenderError, SimdLevel};
+use catoptra_engine::render_scene::RenderScene;
+
+/// How an [`Accel`] is made. Nothing here changes a hit.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct AccelOptions {
+    /// Tree of each mesh.
     pub blas: BlasKind,
+    /// SIMD level of the kernels.
     pub simd: SimdLevel,
 }
-pub struct Accel {}
-#[derive(Default)]
+
+/// What an update did.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct UpdateStats {
+    /// Mesh trees built: 0 where no mesh is new.
     pub blas_builds: u32,
+    /// Nodes of the upper tree that were recomputed or built.
     pub tlas_nodes_touched: u32,
+    /// The upper tree was built anew: at first, after many insertions or removals, or where its surface-area cost had grown
+    /// past 1.6 times that of its last build.
     pub tlas_rebuilt: bool,
 }
+
+/// Sizes of the structure.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct AccelStats {
+    /// Mesh trees held.
+    pub trees: u32,
+    /// Nodes of all mesh trees.
+    pub blas_nodes: u32,
+    /// Triangle blocks of all mesh trees.
+    pub blocks: u32,
+    /// Nodes of the upper tree.
+    pub tlas_nodes: u32,
+}
+
+/// Finds what rays meet in a scene.
+pub struct Accel {
+    world: world::World,
+    level: simd::Detected,
+}
+
 impl Accel {
-    pub fn new(_: AccelOptions) -> Result<Self, RenderError> {
-        Ok(Self {})
+    /// An empty structure.
+    ///
+    /// # Errors
+    /// [`RenderError::Unavailable`] where `options.simd` names a level that this processor lacks.
+    pub fn new(options: AccelOptions) -> Result<Self, RenderError> {
+        Ok(Self { world: world::World::new(options.blas), level: simd::Detected::new(options.simd)? })
     }
-    pub fn update(&mut self, _: &RenderScene) -> UpdateStats {
-        UpdateStats::default()
+
+    /// Follows the scene: one that passes [`RenderScene::validate`]. Builds run on the caller's rayon pool.
+    ///
+    /// The same revision of the same world: nothing happens. The next one with an unchanged structure: only
+    /// `scene.moved` is refitted. Otherwise everything is compared; mesh trees are kept by the address of the mesh's `Arc`
+    /// (held here, so that it stays unique), instances by `stable_id`.
+    pub fn update(&mut self, scene: &RenderScene) -> UpdateStats {
+        self.world.update(scene)
     }
-    pub fn closest_hit(&self, _: &Ray) -> Hit {
-        Hit::MISS
+
+    /// First thing that the ray meets at `t_min < t < t_max`, or [`Hit::MISS`]. A ray with a non-finite origin or direction,
+    /// or a zero direction, misses.
+    #[inline]
+    pub fn closest_hit(&self, ray: &Ray) -> Hit {
+        simd::closest(self.level, &self.world, ray)
     }
-    pub fn occluded(&self, _: &Ray) -> bool {
-        false
+
+    /// True where the ray meets an instance that casts shadows, at `t_min < t < t_max`.
+    #[inline]
+    pub fn occluded(&self, ray: &Ray) -> bool {
+        simd::any(self.level, &self.world, ray)
     }
-    pub fn set_shadow_casters(&mut self, _: impl Fn(u32) -> bool) {}
-    pub fn closest_hits(&self, _: &[Ray], _: &mut [Hit]) {}
-    pub fn occluded_many(&self, _: &[Ray], _: &mut [bool]) {}
+
+    /// Chooses by instance id which instances [`Self::occluded`] sees; all at first, and each new one.
+    pub fn set_shadow_casters(&mut self, casts: impl Fn(u32) -> bool) {
+        self.world.set_shadow_casters(casts);
+    }
+
+    /// [`Self::closest_hit`] of each ray, the same bits; fastest where neighbours in the slice are alike.
+    ///
+    /// # Panics
+    /// Where the slices differ in length.
+    pub fn closest_hits(&self, rays: &[Ray], hits: &mut [Hit]) {
+        assert_eq!(rays.len(), hits.len(), "one hit a ray");
+        simd::closest_many(self.level, &self.world, rays, hits);
+    }
+
+    /// [`Self::occluded`] of each ray.
+    ///
+    /// # Panics
+    /// Where the slices differ in length.
+    pub fn occluded_many(&self, rays: &[Ray], occluded: &mut [bool]) {
+        assert_eq!(rays.len(), occluded.len(), "one answer a ray");
+        simd::any_many(self.level, &self.world, rays, occluded);
+    }
+
+    /// The level in use; never `Auto`.
+    pub fn simd_level(&self) -> SimdLevel {
+        self.level.level()
+    }
+
+    /// Sizes.
+    pub fn stats(&self) -> AccelStats {
+        let trees = &self.world.trees;
+        AccelStats {
+            trees: trees.iter().filter(|t| t.root != node::EMPTY).count() as u32,
+            blas_nodes: trees.iter().map(|t| t.nodes.len() as u32).sum(),
+            blocks: trees.iter().map(|t| t.blocks.len() as u32).sum(),
+            tlas_nodes: self.world.tlas.nodes.len() as u32,
+        }
+    }
+
+    /// Checks every invariant of the trees.
+    ///
+    /// # Errors
+    /// What is wrong, in words.
+    pub fn validate(&self) -> Result<(), String> {
+        self.world.validate()
+    }
 }

@@ -1,0 +1,121 @@
+//! A mesh's own tree, in object space.
+
+use super::node::{Bounds, EMPTY, LEAF, Node8, Tri8};
+use super::wide::{CollapseCosts, WideTree, collapse, median_tree};
+use crate::BlasKind;
+use catoptra_engine::mesh::Mesh;
+use glam::Vec3A;
+use obvhs::aabb::Aabb;
+use obvhs::bvh2::reinsertion::ReinsertionOptimizer;
+use obvhs::ploc::{PlocBuilder, PlocSearchDistance, SortPrecision};
+
+/// Wide BVH over triangle blocks.
+pub(crate) struct Blas {
+    pub nodes: Vec<Node8>,
+    pub blocks: Vec<Tri8>,
+    pub root: u32,
+    pub bounds: Bounds,
+    /// Greatest absolute coordinate.
+    pub extent: f32,
+}
+
+/// Against one visit of a wide node: see `CollapseCosts`.
+const COSTS: CollapseCosts = CollapseCosts { max_leaf: 8, leaf: 0.6, primitive: 0.12 };
+
+/// Coordinates beyond this overflow the builder's surface areas; such meshes get the median tree.
+const MAX_BUILDER_COORDINATE: f32 = 1e15;
+
+impl Blas {
+    /// The tree of nothing.
+    pub fn vacant() -> Self {
+        Self { nodes: Vec::new(), blocks: Vec::new(), root: EMPTY, bounds: Bounds::EMPTY, extent: 0.0 }
+    }
+
+    pub fn build(mesh: &Mesh, _kind: BlasKind) -> Self {
+        let bounds = Bounds::from(mesh.bounds_object());
+        let boxes: Vec<Aabb> =
+            (0..mesh.triangles().len() as u32).map(|i| Aabb::from_points(&mesh.corners(i).map(Vec3A::from))).collect();
+        let tree = if boxes.len() > 8 && bounds.extent() < MAX_BUILDER_COORDINATE {
+            let indices = (0..boxes.len() as u32).collect();
+            let mut bvh2 = PlocBuilder::with_capacity(boxes.len()).build(
+                PlocSearchDistance::Medium,
+                &boxes,
+                indices,
+                SortPrecision::U64,
+                3,
+            );
+            ReinsertionOptimizer::default().run(&mut bvh2, 0.15, None);
+            collapse(&bvh2.nodes, &bvh2.primitive_indices, COSTS)
+        } else {
+            None
+        };
+        let tree = tree.unwrap_or_else(|| {
+            let (nodes, ids) = median_tree(&boxes);
+            collapse(&nodes, &ids, COSTS).expect("a median tree is shallow")
+        });
+        Self::from_tree(mesh, tree)
+    }
+
+    fn from_tree(mesh: &Mesh, tree: WideTree) -> Self {
+        let blocks = tree
+            .leaves
+            .iter()
+            .map(|leaf| {
+                let mut block = Tri8::VACANT;
+                for (lane, &prim) in leaf.as_slice().iter().enumerate() {
+                    block.set(lane, mesh.corners(prim), prim);
+                }
+                block
+            })
+            .collect();
+        let bounds = Bounds::from(mesh.bounds_object());
+        Self { nodes: tree.nodes, blocks, root: tree.root, bounds, extent: bounds.extent() }
+    }
+
+    /// What is wrong with the tree, if anything: references, boxes, and that every triangle is there.
+    pub fn validate(&self, mesh: &Mesh) -> Result<(), String> {
+        let mut seen = vec![false; mesh.triangles().len()];
+        let mut nodes_seen = 0;
+        let mut todo = Vec::new();
+        if self.root != EMPTY {
+            todo.push((self.root, self.bounds, 0));
+        }
+        while let Some((child, bounds, depth)) = todo.pop() {
+            if depth > super::node::MAX_DEPTH {
+                return Err(format!("deeper than {}", super::node::MAX_DEPTH));
+            }
+            if child & LEAF != 0 {
+                let block = self.blocks.get((child & !LEAF) as usize).ok_or("a leaf names no block")?;
+                for lane in 0..block.len() {
+                    let prim = block.prim[lane];
+                    let corners = [0, 1, 2].map(|v| glam::Vec3::from(block.corner(v, lane)));
+                    if mesh.corners(prim) != corners {
+                        return Err(format!("block holds a wrong triangle {prim}"));
+                    }
+                    seen[prim as usize] = true;
+                }
+                continue;
+            }
+            let node = self.nodes.get(child as usize).ok_or("a child names no node")?;
+            nodes_seen += 1;
+            for slot in 0..8 {
+                if node.child[slot] != EMPTY {
+                    let b = node.slot_box(slot);
+                    if !bounds.contains(&b) {
+                        return Err(format!("box {slot} of node {child} leaves its parent's"));
+                    }
+                    todo.push((node.child[slot], b, depth + 1));
+                } else if !node.slot_box(slot).is_empty() {
+                    return Err(format!("empty slot {slot} of node {child} has a box"));
+                }
+            }
+        }
+        if nodes_seen != self.nodes.len() {
+            return Err(format!("{nodes_seen} of {} nodes are reachable", self.nodes.len()));
+        }
+        match seen.iter().position(|s| !s) {
+            Some(prim) => Err(format!("triangle {prim} is in no leaf")),
+            None => Ok(()),
+        }
+    }
+}

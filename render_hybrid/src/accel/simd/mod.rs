@@ -1,0 +1,176 @@
+//! The kernels: every level's code behind safe functions. This module alone holds unsafe code; the rest of `accel` is safe.
+#![allow(unsafe_code)]
+
+mod lanes;
+mod single;
+#[cfg(target_arch = "x86_64")]
+mod x86;
+
+use super::world::World;
+use super::{Hit, Ray};
+use crate::{RenderError, SimdLevel};
+use lanes::Portable;
+
+/// A level that this processor has: only [`Detected::new`] makes one, so kernels may rely on it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Detected(SimdLevel);
+
+impl Detected {
+    /// Looks for the level; `Auto` takes the best there is.
+    pub fn new(wanted: SimdLevel) -> Result<Self, RenderError> {
+        let (avx2, avx512) = supported();
+        let missing = |choice: &str, missing: &str| {
+            Err(RenderError::Unavailable { choice: format!("--simd {choice}"), missing: missing.into() })
+        };
+        match wanted {
+            SimdLevel::Auto if avx512 => Ok(Self(SimdLevel::Avx512)),
+            SimdLevel::Auto if avx2 => Ok(Self(SimdLevel::Avx2)),
+            SimdLevel::Auto | SimdLevel::Portable => Ok(Self(SimdLevel::Portable)),
+            SimdLevel::Avx2 if !avx2 => missing("avx2", "this processor lacks AVX2 or FMA"),
+            SimdLevel::Avx512 if !avx512 => missing("avx512", "this processor lacks AVX-512 F, VL or DQ"),
+            level => Ok(Self(level)),
+        }
+    }
+    pub fn level(self) -> SimdLevel {
+        self.0
+    }
+}
+
+#[cfg(target_arch = "x86_64")]
+fn supported() -> (bool, bool) {
+    let avx2 = is_x86_feature_detected!("avx2")
+        && is_x86_feature_detected!("fma")
+        && is_x86_feature_detected!("bmi1")
+        && is_x86_feature_detected!("bmi2")
+        && is_x86_feature_detected!("lzcnt");
+    let avx512 = avx2
+        && is_x86_feature_detected!("avx512f")
+        && is_x86_feature_detected!("avx512vl")
+        && is_x86_feature_detected!("avx512dq");
+    (avx2, avx512)
+}
+
+#[cfg(not(target_arch = "x86_64"))]
+fn supported() -> (bool, bool) {
+    (false, false)
+}
+
+/// What a ray is for the kernels.
+enum Usable {
+    Yes,
+    No,
+    /// Direction too short or too long: (same ray with a moderate one, factor from its t to the ray's).
+    Scaled(Ray, f64),
+}
+
+#[inline(always)]
+fn usable(ray: &Ray) -> Usable {
+    let (o, d) = (ray.origin, ray.direction);
+    let finite = ((o.x * 0.0 + o.y * 0.0) + (o.z * 0.0 + d.x * 0.0)) + (d.y * 0.0 + d.z * 0.0) == 0.0;
+    if !finite || !(ray.t_min < ray.t_max) {
+        return Usable::No;
+    }
+    let m = d.abs().max_element();
+    const MODERATE: std::ops::RangeInclusive<f32> = (1.0 / ((1u32 << 20) as f32))..=((1u32 << 20) as f32);
+    if MODERATE.contains(&m) { Usable::Yes } else { rescaled(ray, m) }
+}
+
+#[cold]
+fn rescaled(ray: &Ray, m: f32) -> Usable {
+    if m == 0.0 {
+        return Usable::No;
+    }
+    // A power of two, so that the direction stays exact.
+    let s = f64::from_bits(f64::from(m).to_bits() & 0x7ff0_0000_0000_0000);
+    let t = |t: f32| (f64::from(t) * s) as f32;
+    let d = (ray.direction.as_dvec3() / s).as_vec3();
+    Usable::Scaled(Ray { origin: ray.origin, t_min: t(ray.t_min), direction: d, t_max: t(ray.t_max) }, 1.0 / s)
+}
+
+#[inline(always)]
+fn closest_with(ray: &Ray, kernel: impl Fn(&Ray) -> Hit) -> Hit {
+    match usable(ray) {
+        Usable::Yes => kernel(ray),
+        Usable::No => Hit::MISS,
+        Usable::Scaled(moderate, factor) => {
+            let mut hit = kernel(&moderate);
+            hit.t = (f64::from(hit.t) * factor) as f32;
+            if hit.is_hit() && ray.t_min < hit.t && hit.t < ray.t_max { hit } else { Hit::MISS }
+        }
+    }
+}
+
+#[inline(always)]
+fn any_with(ray: &Ray, kernel: impl Fn(&Ray) -> bool) -> bool {
+    match usable(ray) {
+        Usable::Yes => kernel(ray),
+        Usable::No => false,
+        Usable::Scaled(moderate, _) => kernel(&moderate),
+    }
+}
+
+/// One level's entry points: the functions with the features, under which everything else is inlined.
+macro_rules! level {
+    ($name:ident, $level:ty, $($features:literal)?) => {
+        mod $name {
+            use super::*;
+            $(#[target_feature(enable = $features)])?
+            pub(super) unsafe fn closest(world: &World, ray: &Ray) -> Hit {
+                // SAFETY: the caller has the features.
+                unsafe { single::closest::<$level>(world, ray) }
+            }
+            $(#[target_feature(enable = $features)])?
+            pub(super) unsafe fn any(world: &World, ray: &Ray) -> bool {
+                // SAFETY: the caller has the features.
+                unsafe { single::any::<$level>(world, ray) }
+            }
+        }
+    };
+}
+
+level!(portable, Portable,);
+#[cfg(target_arch = "x86_64")]
+level!(avx2, x86::Avx2, "avx2,fma,bmi1,bmi2,lzcnt");
+#[cfg(target_arch = "x86_64")]
+level!(avx512, x86::Avx512, "avx2,fma,bmi1,bmi2,lzcnt,avx512f,avx512vl,avx512dq");
+
+macro_rules! dispatch {
+    ($level:expr, $f:ident($($a:expr),*)) => {
+        // SAFETY: `Detected` exists only for levels that this processor has.
+        unsafe {
+            match $level.0 {
+                #[cfg(target_arch = "x86_64")]
+                SimdLevel::Avx2 => avx2::$f($($a),*),
+                #[cfg(target_arch = "x86_64")]
+                SimdLevel::Avx512 => avx512::$f($($a),*),
+                _ => portable::$f($($a),*),
+            }
+        }
+    };
+}
+
+/// Closest hit of any ray.
+#[inline]
+pub(crate) fn closest(level: Detected, world: &World, ray: &Ray) -> Hit {
+    closest_with(ray, |ray| dispatch!(level, closest(world, ray)))
+}
+
+/// Any hit of any ray.
+#[inline]
+pub(crate) fn any(level: Detected, world: &World, ray: &Ray) -> bool {
+    any_with(ray, |ray| dispatch!(level, any(world, ray)))
+}
+
+/// Closest hits of many rays; neighbours in the slice are taken together where that pays.
+pub(crate) fn closest_many(level: Detected, world: &World, rays: &[Ray], hits: &mut [Hit]) {
+    for (ray, hit) in rays.iter().zip(hits) {
+        *hit = closest(level, world, ray);
+    }
+}
+
+/// Any hits of many rays.
+pub(crate) fn any_many(level: Detected, world: &World, rays: &[Ray], occluded: &mut [bool]) {
+    for (ray, hit) in rays.iter().zip(occluded) {
+        *hit = any(level, world, ray);
+    }
+}

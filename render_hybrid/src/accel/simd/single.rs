@@ -1,0 +1,383 @@
+//! One ray through the two levels.
+
+use super::lanes::{Lanes, Level};
+use crate::accel::node::{EMPTY, LEAF, Node8, STACK, Tri8};
+use crate::accel::ray_space::RaySpace;
+use crate::accel::triangle::{CONDITION, DET_MAX, DET_MIN, exact};
+use crate::accel::world::World;
+use crate::accel::{Hit, Ray};
+use std::mem::MaybeUninit;
+
+#[derive(Clone, Copy)]
+struct Waiting {
+    child: u32,
+    t: f32,
+}
+
+/// What a traversal does at its leaves.
+trait Visitor<L: Level> {
+    /// Closest hit: visit near children first.
+    const ORDERED: bool;
+    /// Nodes beyond it are left out.
+    fn limit(&self) -> f32;
+    /// Returns true to end the traversal.
+    ///
+    /// # Safety
+    /// The level's features, and a leaf of the visitor's tree.
+    unsafe fn leaf(&mut self, leaf: u32) -> bool;
+}
+
+/// Walks a wide tree. Returns true where the visitor ended it.
+///
+/// # Safety
+/// The level's features; `nodes` is a tree as `validate` wants it, at most `MAX_DEPTH` deep, that holds `root`.
+#[inline(always)]
+unsafe fn walk<L: Level, V: Visitor<L>>(nodes: &[Node8], root: u32, ray: &RaySpace, t_min: f32, v: &mut V) -> bool {
+    let mut stack = [MaybeUninit::<Waiting>::uninit(); STACK];
+    // SAFETY: the stack holds 7 waiting children a level for MAX_DEPTH levels and one more node's; node indices and plane
+    // numbers are in range by the tree's invariants; features by the caller.
+    unsafe {
+        let stack = stack.as_mut_ptr().cast::<Waiting>();
+        let mut top = 0usize;
+        let nodes = nodes.as_ptr();
+        let inv = ray.inv.map(|x| L::W8::splat(x));
+        let near = ray.near.map(|x| L::W8::splat(x));
+        let far = ray.far.map(|x| L::W8::splat(x));
+        let t_first = L::W8::splat(t_min);
+        let [nx, ny, nz] = ray.near_plane;
+        let mut current = root;
+        'node: loop {
+            'descend: {
+                if current & LEAF != 0 {
+                    if v.leaf(current & !LEAF) {
+                        return true;
+                    }
+                    break 'descend;
+                }
+                let node = &*nodes.add(current as usize);
+                let planes = node.planes.as_ptr().cast::<f32>();
+                let plane = |i: usize| L::W8::load(planes.add(8 * i));
+                let enter = plane(nx).slab(inv[0], near[0]);
+                let enter = enter.max(plane(ny).slab(inv[1], near[1]));
+                let enter = plane(nz).slab(inv[2], near[2]).max(t_first).max(enter);
+                let leave = plane(nx ^ 1).slab(inv[0], far[0]);
+                let leave = leave.min(plane(ny ^ 1).slab(inv[1], far[1]));
+                let leave = plane(nz ^ 1).slab(inv[2], far[2]).min(L::W8::splat(v.limit())).min(leave);
+                let mut mask = enter.le(leave);
+                if mask == 0 {
+                    break 'descend;
+                }
+                let first = mask.trailing_zeros() as usize;
+                mask &= mask - 1;
+                let child = |i: usize| *node.child.as_ptr().add(i);
+                if mask == 0 {
+                    current = child(first);
+                    continue 'node;
+                }
+                let mut t = [0.0f32; 8];
+                enter.store(t.as_mut_ptr());
+                let t = t.as_ptr();
+                let at = |i: usize| Waiting { child: child(i), t: *t.add(i) };
+                let second = mask.trailing_zeros() as usize;
+                mask &= mask - 1;
+                let (mut a, mut b) = (at(first), at(second));
+                if b.t < a.t {
+                    std::mem::swap(&mut a, &mut b);
+                }
+                if mask == 0 {
+                    *stack.add(top) = b;
+                    top += 1;
+                    current = a.child;
+                    continue 'node;
+                }
+                // Three or more: insertion sort on the stack, farthest lowest.
+                let base = top;
+                *stack.add(top) = b;
+                *stack.add(top + 1) = a;
+                top += 2;
+                while mask != 0 {
+                    let c = at(mask.trailing_zeros() as usize);
+                    mask &= mask - 1;
+                    let mut i = top;
+                    if V::ORDERED {
+                        while i > base && (*stack.add(i - 1)).t < c.t {
+                            *stack.add(i) = *stack.add(i - 1);
+                            i -= 1;
+                        }
+                    }
+                    *stack.add(i) = c;
+                    top += 1;
+                }
+                top -= 1;
+                current = (*stack.add(top)).child;
+                continue 'node;
+            }
+            loop {
+                if top == 0 {
+                    return false;
+                }
+                top -= 1;
+                let next = *stack.add(top);
+                if next.t <= v.limit() {
+                    current = next.child;
+                    break;
+                }
+            }
+        }
+    }
+}
+
+/// Candidate lanes of a block: (t, u, v) and the lanes that are hits of the whole line; NaN where they are not.
+///
+/// # Safety
+/// The level's features.
+#[inline(always)]
+unsafe fn intersect8<L: Level>(block: &Tri8, ray: &RaySpace, t_min: f32, t_max: f32) -> ([[f32; 8]; 3], u32) {
+    let mut out = [[0.0f32; 8]; 3];
+    // SAFETY: lanes are eight f32 each; axes are 0..3; features by the caller.
+    unsafe {
+        let [kx, ky, kz] = ray.k;
+        let o = ray.origin.as_ptr();
+        let (ox, oy, oz) = (L::W8::splat(*o.add(kx)), L::W8::splat(*o.add(ky)), L::W8::splat(*o.add(kz)));
+        let [sx, sy, sz] = ray.shear.map(|x| L::W8::splat(x));
+        let base = block.v.as_ptr().cast::<f32>();
+        let corner = |v: usize| {
+            let load = |axis: usize| L::W8::load(base.add(24 * v + 8 * axis));
+            let z = load(kz).sub(oz);
+            (load(kx).sub(ox).sub(sx.mul(z)), load(ky).sub(oy).sub(sy.mul(z)), z)
+        };
+        let (ax, ay, az) = corner(0);
+        let (bx, by, bz) = corner(1);
+        let (cx, cy, cz) = corner(2);
+        let u = cx.mul(by).sub(cy.mul(bx));
+        let v = ax.mul(cy).sub(ay.mul(cx));
+        let w = bx.mul(ay).sub(by.mul(ax));
+        let zero = L::W8::splat(0.0);
+        let least = u.min(v).min(w);
+        let most = u.max(v).max(w);
+        let mut mask = zero.le(least) | most.le(zero);
+        if mask == 0 {
+            return (out, 0);
+        }
+        let det = u.add(v).add(w);
+        let r = L::W8::splat(1.0).div(det);
+        let t = u.mul(az).add(v.mul(bz)).add(w.mul(cz)).mul(r).mul(sz);
+        let size = det.abs();
+        let m = ax.abs().max(ay.abs()).max(bx.abs()).max(by.abs()).max(cx.abs()).max(cy.abs());
+        let well = m.mul(m).mul(m).mul(L::W8::splat(CONDITION)).le(size.mul(L::W8::splat(ray.reach)));
+        let sound = well
+            & L::W8::splat(DET_MIN).le(size)
+            & size.le(L::W8::splat(DET_MAX))
+            & !(u.eq(zero) | v.eq(zero) | w.eq(zero));
+        let mut hard = mask & !sound;
+        mask &= sound & L::W8::splat(t_min).lt(t) & t.le(L::W8::splat(t_max));
+        if mask | hard == 0 {
+            return (out, 0);
+        }
+        t.store(out[0].as_mut_ptr());
+        v.mul(r).store(out[1].as_mut_ptr());
+        w.mul(r).store(out[2].as_mut_ptr());
+        while hard != 0 {
+            let lane = hard.trailing_zeros() as usize;
+            hard &= hard - 1;
+            if let Some((t, u, v)) = hard_lane(block, lane, ray)
+                && t_min < t
+                && t <= t_max
+            {
+                (out[0][lane], out[1][lane], out[2][lane]) = (t, u, v);
+                mask |= 1 << lane;
+            }
+        }
+        (out, mask)
+    }
+}
+
+/// One lane in double precision, from the same sheared vertices.
+#[cold]
+#[inline(never)]
+pub(super) fn hard_lane(block: &Tri8, lane: usize, ray: &RaySpace) -> Option<(f32, f32, f32)> {
+    let [a, b, c] = [0, 1, 2].map(|v| crate::accel::triangle::sheared(ray, block.corner(v, lane)));
+    exact(a, b, c, ray.shear[2])
+}
+
+/// Closest hit in one instance.
+struct BlasClosest<'a> {
+    blocks: &'a [Tri8],
+    ray: RaySpace,
+    t_min: f32,
+    t_max: f32,
+    instance_id: u32,
+    best: &'a mut Hit,
+}
+
+impl<L: Level> Visitor<L> for BlasClosest<'_> {
+    const ORDERED: bool = true;
+    #[inline(always)]
+    fn limit(&self) -> f32 {
+        self.best.t
+    }
+    #[inline(always)]
+    unsafe fn leaf(&mut self, leaf: u32) -> bool {
+        // SAFETY: leaf references are block numbers by the tree's invariants; features by the caller.
+        unsafe {
+            let block = self.blocks.get_unchecked(leaf as usize);
+            let ([t, u, v], mut mask) = intersect8::<L>(block, &self.ray, self.t_min, self.best.t);
+            while mask != 0 {
+                let lane = mask.trailing_zeros() as usize;
+                mask &= mask - 1;
+                let candidate = Hit {
+                    t: t[lane],
+                    u: u[lane],
+                    v: v[lane],
+                    instance_id: self.instance_id,
+                    primitive_id: block.prim[lane],
+                };
+                if nearer(&candidate, self.best, self.t_max) {
+                    *self.best = candidate;
+                }
+            }
+            false
+        }
+    }
+}
+
+/// Order of hits: t, then instance, then primitive; t < t_max strictly.
+#[inline(always)]
+pub(super) fn nearer(a: &Hit, best: &Hit, t_max: f32) -> bool {
+    a.t < t_max
+        && (a.t < best.t || (a.t == best.t && (a.instance_id, a.primitive_id) < (best.instance_id, best.primitive_id)))
+}
+
+/// Any hit in one instance.
+struct BlasAny<'a> {
+    blocks: &'a [Tri8],
+    ray: RaySpace,
+    t_min: f32,
+    t_max: f32,
+}
+
+impl<L: Level> Visitor<L> for BlasAny<'_> {
+    const ORDERED: bool = false;
+    #[inline(always)]
+    fn limit(&self) -> f32 {
+        self.t_max
+    }
+    #[inline(always)]
+    unsafe fn leaf(&mut self, leaf: u32) -> bool {
+        // SAFETY: as for the closest hit.
+        unsafe {
+            let block = self.blocks.get_unchecked(leaf as usize);
+            let ([t, ..], mut mask) = intersect8::<L>(block, &self.ray, self.t_min, self.t_max);
+            while mask != 0 {
+                if t[mask.trailing_zeros() as usize] < self.t_max {
+                    return true;
+                }
+                mask &= mask - 1;
+            }
+            false
+        }
+    }
+}
+
+/// Closest hit over instances.
+struct TlasClosest<'a> {
+    world: &'a World,
+    ray: &'a Ray,
+    best: Hit,
+}
+
+impl<L: Level> Visitor<L> for TlasClosest<'_> {
+    const ORDERED: bool = true;
+    #[inline(always)]
+    fn limit(&self) -> f32 {
+        self.best.t
+    }
+    #[inline(always)]
+    unsafe fn leaf(&mut self, leaf: u32) -> bool {
+        // SAFETY: leaf references are instance slots and their trees exist by the structure's invariants.
+        unsafe {
+            let record = self.world.records.get_unchecked(leaf as usize);
+            let blas = self.world.trees.get_unchecked(record.blas as usize);
+            let (o, d) = record.to_object(self.ray.origin.to_array(), self.ray.direction.to_array());
+            let ray = RaySpace::new(o, d, blas.extent, 1.0);
+            let mut v = BlasClosest {
+                blocks: &blas.blocks,
+                ray,
+                t_min: self.ray.t_min,
+                t_max: self.ray.t_max,
+                instance_id: record.instance_id,
+                best: &mut self.best,
+            };
+            walk::<L, _>(&blas.nodes, blas.root, &ray, self.ray.t_min, &mut v);
+            false
+        }
+    }
+}
+
+/// Any hit over the instances that cast shadows.
+struct TlasAny<'a> {
+    world: &'a World,
+    ray: &'a Ray,
+}
+
+impl<L: Level> Visitor<L> for TlasAny<'_> {
+    const ORDERED: bool = false;
+    #[inline(always)]
+    fn limit(&self) -> f32 {
+        self.ray.t_max
+    }
+    #[inline(always)]
+    unsafe fn leaf(&mut self, leaf: u32) -> bool {
+        // SAFETY: as for the closest hit.
+        unsafe {
+            let record = self.world.records.get_unchecked(leaf as usize);
+            if !record.casts_shadow {
+                return false;
+            }
+            let blas = self.world.trees.get_unchecked(record.blas as usize);
+            let (o, d) = record.to_object(self.ray.origin.to_array(), self.ray.direction.to_array());
+            let ray = RaySpace::new(o, d, blas.extent, 1.0);
+            let mut v = BlasAny { blocks: &blas.blocks, ray, t_min: self.ray.t_min, t_max: self.ray.t_max };
+            walk::<L, _>(&blas.nodes, blas.root, &ray, self.ray.t_min, &mut v)
+        }
+    }
+}
+
+/// Closest hit of a ray that is usable and of moderate direction.
+///
+/// # Safety
+/// The level's features.
+#[inline(always)]
+pub(super) unsafe fn closest<L: Level>(world: &World, ray: &Ray) -> Hit {
+    let mut v = TlasClosest { world, ray, best: Hit { t: ray.t_max, ..Hit::MISS } };
+    // SAFETY: the world keeps the trees' invariants; features by the caller.
+    unsafe {
+        if let Some(only) = world.only {
+            Visitor::<L>::leaf(&mut v, only);
+        } else if world.tlas.root != EMPTY {
+            let space = RaySpace::new(ray.origin.to_array(), ray.direction.to_array(), world.extent, world.slack);
+            walk::<L, _>(&world.tlas.nodes, world.tlas.root, &space, ray.t_min, &mut v);
+        }
+    }
+    if v.best.is_hit() { v.best } else { Hit::MISS }
+}
+
+/// Any hit of a ray that is usable and of moderate direction.
+///
+/// # Safety
+/// The level's features.
+#[inline(always)]
+pub(super) unsafe fn any<L: Level>(world: &World, ray: &Ray) -> bool {
+    let mut v = TlasAny { world, ray };
+    // SAFETY: the world keeps the trees' invariants; features by the caller.
+    unsafe {
+        if let Some(only) = world.only {
+            Visitor::<L>::leaf(&mut v, only)
+        } else if world.tlas.root != EMPTY {
+            let space = RaySpace::new(ray.origin.to_array(), ray.direction.to_array(), world.extent, world.slack);
+            walk::<L, _>(&world.tlas.nodes, world.tlas.root, &space, ray.t_min, &mut v)
+        } else {
+            false
+        }
+    }
+}
