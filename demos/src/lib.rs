@@ -1,3 +1,5 @@
-//! The five scenes of Catoptra and what the `catoptra` command is made of.
+//! The five scenes of Catoptra, and the command `catoptra` that plays, renders, measures and compares them.
 
+pub mod cli;
+pub mod play;
 pub mod scenes;

@@ -92,9 +92,8 @@ impl Stage {
 /// A path around `center` with one sine an axis: amplitudes in metres, periods in seconds, phases in radians.
 pub fn sway(center: Vec3, amplitude: Vec3, periods: [f64; 3], phases: [f64; 3]) -> Path {
     let axes = [Vec3::X, Vec3::Y, Vec3::Z];
-    let terms = (0..3)
-        .map(|i| Sine { amplitude: axes[i] * amplitude[i], period_secs: periods[i], phase: phases[i] })
-        .collect();
+    let terms =
+        (0..3).map(|i| Sine { amplitude: axes[i] * amplitude[i], period_secs: periods[i], phase: phases[i] }).collect();
     Path::Sines { center, terms }
 }
 

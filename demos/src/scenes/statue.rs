@@ -154,7 +154,8 @@ fn figure(u: f32, phi: f32) -> Vec3 {
         - facing_back * (back_add + 0.052 * bump(x, 0.038, y - 1.635, 0.036) * smoothstep(0.0, 0.02, -z));
 
     // Stumps of the arms: the right one hangs, the left one is raised a little.
-    let side = |towards: f32, reach: f32, at: f32| reach * bump(y - at, 0.062, p.y, 0.075) * smoothstep(0.35, 0.95, towards);
+    let side =
+        |towards: f32, reach: f32, at: f32| reach * bump(y - at, 0.062, p.y, 0.075) * smoothstep(0.35, 0.95, towards);
     p.x += side(c, 0.060, 1.328) - side(-c, 0.050, 1.310);
 
     // Contrapposto: the axis sways with the outline.

@@ -20,16 +20,13 @@ pub fn build() -> App {
     let static_mesh = stage.mesh(shapes::sphere(STATIC_RADIUS, 12, 24));
     let strong = stage.material(Material::mirror(Vec3::new(0.95, 0.95, 0.96), 0.9));
     let at = DVec2::new(-0.62, -0.75);
-    let still = RollingSphere {
-        mass: f64::INFINITY,
-        ..RollingSphere::new(f64::from(STATIC_RADIUS), at, DVec2::ZERO, area)
-    };
+    let still =
+        RollingSphere { mass: f64::INFINITY, ..RollingSphere::new(f64::from(STATIC_RADIUS), at, DVec2::ZERO, area) };
     stage.body(static_mesh, strong, still);
 
     let moving_mesh = stage.mesh(shapes::sphere(MOVING_RADIUS, 12, 24));
     let weak = stage.material(Material::mirror(Vec3::new(0.92, 0.55, 0.18), 0.4));
-    let ball =
-        RollingSphere::new(f64::from(MOVING_RADIUS), DVec2::new(0.85, 0.55), DVec2::new(-0.72, -0.35), area);
+    let ball = RollingSphere::new(f64::from(MOVING_RADIUS), DVec2::new(0.85, 0.55), DVec2::new(-0.72, -0.35), area);
     stage.body(moving_mesh, weak, ball);
 
     let light = sway(Vec3::new(0.2, 2.5, 0.7), Vec3::new(0.9, 0.08, 0.5), [8.0, 5.0, 9.0], [0.9, 0.0, 1.0]);

@@ -52,7 +52,13 @@ pub fn arch(b: &mut ShapeBuilder, bay: &Bay, storey: &Storey) {
     let arc = |k: usize, radius: f32| {
         let (s, c) = math::sin_cos(PI * k as f32 / VOUSSOIRS as f32);
         // Equal ends on both sides, to the bit.
-        let c = if k == 0 { 1.0 } else if k == VOUSSOIRS { -1.0 } else { c };
+        let c = if k == 0 {
+            1.0
+        } else if k == VOUSSOIRS {
+            -1.0
+        } else {
+            c
+        };
         let s = if k == 0 || k == VOUSSOIRS { 0.0 } else { s };
         (-radius * c, spring + radius * s)
     };

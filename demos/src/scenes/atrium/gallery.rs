@@ -79,7 +79,13 @@ fn wall(b: &mut ShapeBuilder, bay: &Bay, storey: &Storey) {
     let (face, back) = (DEPTH, DEPTH + 0.25);
     let arc = |k: usize| {
         let (s, c) = math::sin_cos(PI * k as f32 / ARC as f32);
-        let (s, c) = if k == 0 { (0.0, 1.0) } else if k == ARC { (0.0, -1.0) } else { (s, c) };
+        let (s, c) = if k == 0 {
+            (0.0, 1.0)
+        } else if k == ARC {
+            (0.0, -1.0)
+        } else {
+            (s, c)
+        };
         (-half * c, spring + half * s)
     };
     let (floor, top) = (storey.floor, storey.top);
@@ -97,8 +103,7 @@ fn wall(b: &mut ShapeBuilder, bay: &Bay, storey: &Storey) {
     }
     quad([(-half, sill), (half, sill), (half, spring), (-half, spring)], back, leaf);
     let mut reveal = |p: (f32, f32), q: (f32, f32)| {
-        let corners =
-            [bay.at(p.0, p.1, face), bay.at(p.0, p.1, back), bay.at(q.0, q.1, back), bay.at(q.0, q.1, face)];
+        let corners = [bay.at(p.0, p.1, face), bay.at(p.0, p.1, back), bay.at(q.0, q.1, back), bay.at(q.0, q.1, face)];
         b.quad(corners, colors::MARBLE);
     };
     reveal((-half, sill), (-half, spring));

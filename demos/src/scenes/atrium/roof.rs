@@ -110,7 +110,10 @@ fn eave(b: &mut ShapeBuilder, y: f32) {
         b.quad([under(k), under(k + 1), lip(k + 1), lip(k)], colors::DOOR * 1.4);
         b.quad([lip(k), lip(k + 1), inner(k + 1), inner(k)], colors::DOOR * 1.4);
         // A curtain at the outer end closes what lies between the walls' tops and the roof.
-        b.quad([far(k, STOREYS[1].top - 0.5), far(k + 1, STOREYS[1].top - 0.5), far(k + 1, high), far(k, high)], colors::TILE);
+        b.quad(
+            [far(k, STOREYS[1].top - 0.5), far(k + 1, STOREYS[1].top - 0.5), far(k + 1, high), far(k, high)],
+            colors::TILE,
+        );
     }
 }
 

@@ -1,0 +1,93 @@
+//! `bench`: frame times, per stage.
+
+use super::{
+    args::BenchArgs,
+    failure::{Failure, line},
+    progress::Progress,
+    render::{DEFAULT_SIZE, make_frame},
+    stats::{self, FrameRecord},
+    target::Target,
+    world::World,
+};
+use catoptra_render_hybrid::{Layer, image_io};
+use serde_json::{Value, json};
+use std::path::Path;
+
+/// Frames before the measured ones: they build trees, compile shaders and warm caches.
+const WARM_UP: u64 = 2;
+
+/// Runs `bench`.
+pub fn run(args: &BenchArgs) -> Result<(), Failure> {
+    args.picture.refuse_missing()?;
+    let settings = args.picture.settings(DEFAULT_SIZE)?;
+    let targets = Target::parse(&args.target)?;
+    let options = args.picture.scene.options();
+    let mut renderer = args.picture.renderer()?;
+    let json_alone = args.json.as_deref() == Some(Path::new("-"));
+    let mut scenes = Vec::new();
+    for target in &targets {
+        let mut world = World::open(target, &options)?;
+        let mut progress = Progress::new(&world.name, WARM_UP + args.frames);
+        let mut records: Vec<FrameRecord> = Vec::new();
+        for k in 0..WARM_UP + args.frames {
+            let record = make_frame(&mut world, &mut renderer, &settings, k, Layer::Final, args.picture.exposure)?.0;
+            if k >= WARM_UP {
+                records.push(record);
+            }
+            progress.set(k + 1);
+        }
+        drop(progress);
+        let size = (settings.width, settings.height);
+        let entry = entry(&world, size, &records);
+        if !json_alone {
+            print(&entry)?;
+        }
+        scenes.push(entry);
+    }
+    let file = json!({ "machine": stats::machine(&renderer), "scenes": scenes });
+    match &args.json {
+        None => Ok(()),
+        Some(_) if json_alone => line(format!("{file:#}")),
+        Some(path) => Ok(image_io::write_atomically(path, format!("{file:#}\n").as_bytes())?),
+    }
+}
+
+fn entry(world: &World, size: (u32, u32), records: &[FrameRecord]) -> Value {
+    let last = records.last().map(|r| &r.stats);
+    json!({
+        "scene": world.name,
+        "lane": last.map(|s| stats::lane_name(s.raster)),
+        "device": last.map(|s| s.device.clone()),
+        "tracer": stats::TRACER,
+        "size": [size.0, size.1],
+        "frames": records.len(),
+        "triangles": world.scene().triangle_count(),
+        "frame_ms": stats::frame_times(records),
+        "stages_ms": stats::stage_medians(records),
+        "rays": stats::ray_medians(records),
+    })
+}
+
+fn print(entry: &Value) -> Result<(), Failure> {
+    let number = |v: &Value| v.as_f64().unwrap_or(0.0);
+    let text = |v: &Value| v.as_str().unwrap_or("").to_string();
+    let median = number(&entry["frame_ms"]["median"]);
+    line(format!(
+        "{}: {:.2} ms a frame (95%: {:.2}), {:.1} frames/s, {} {}, {}x{}, {} triangles",
+        text(&entry["scene"]),
+        median,
+        number(&entry["frame_ms"]["p95"]),
+        1e3 / median.max(1e-6),
+        text(&entry["lane"]),
+        text(&entry["device"]),
+        entry["size"][0],
+        entry["size"][1],
+        entry["triangles"],
+    ))?;
+    let list = |key: &str, digits: usize| {
+        let parts = entry[key].as_object().into_iter().flatten().filter(|(_, v)| number(v) > 0.0);
+        parts.map(|(k, v)| format!("{k} {:.digits$}", number(v))).collect::<Vec<_>>().join(", ")
+    };
+    line(format!("  ms: {}", list("stages_ms", 2)))?;
+    line(format!("  rays: {}", list("rays", 0)))
+}

@@ -1,0 +1,402 @@
+//! The options that change the picture, or how it is made: shared by `render`, `bench`, `judge` and `play`.
+
+use super::failure::Failure;
+use crate::scenes::SceneOptions;
+use catoptra_render_hybrid as hybrid;
+use clap::{Args, ValueEnum};
+use std::path::PathBuf;
+
+/// Width and height in pixels.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Size(pub u32, pub u32);
+
+impl std::fmt::Display for Size {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        write!(f, "{}x{}", self.0, self.1)
+    }
+}
+
+/// Reads `WxH`.
+pub fn parse_size(text: &str) -> Result<Size, String> {
+    let parts = text.split_once(['x', 'X']).and_then(|(w, h)| Some((w.parse::<u64>().ok()?, h.parse::<u64>().ok()?)));
+    let Some((w, h)) = parts else {
+        return Err("a size is written as WIDTHxHEIGHT, such as 1024x1024".into());
+    };
+    if !(1..=16384).contains(&w) || !(1..=16384).contains(&h) {
+        return Err("a size lies between 1x1 and 16384x16384".into());
+    }
+    Ok(Size(w as u32, h as u32))
+}
+
+/// Who makes direct and indirect light.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum Raster {
+    /// wgpu on a real GPU, else the CPU
+    #[default]
+    Auto,
+    /// The CPU alone
+    Cpu,
+    /// wgpu, or an error
+    Gpu,
+}
+
+/// Who traces mirrors and glass.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+#[allow(missing_docs)]
+pub enum Tracer {
+    #[default]
+    Auto,
+    Cpu,
+    Gpu,
+    GpuFragment,
+    Rayquery,
+}
+
+/// Bundle of settings.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum PresetArg {
+    /// 16 VPLs, depth 4: editing
+    Draft,
+    /// 64 VPLs, depth 8: play
+    #[default]
+    Interactive,
+    /// 1,024 VPLs and all visibility by rays: stills
+    High,
+}
+
+/// Shadows of lights.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[allow(missing_docs)]
+pub enum ShadowsArg {
+    Moments,
+    Certified,
+    Traced,
+    Off,
+}
+
+/// Filter of shadow maps.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[allow(missing_docs)]
+pub enum ShadowFilter {
+    Vsm,
+    Evsm4,
+}
+
+/// Shadows of glass.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[allow(missing_docs)]
+pub enum GlassShadowsArg {
+    Opaque,
+    Clear,
+}
+
+/// Shadows of virtual point lights.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+#[allow(missing_docs)]
+pub enum VplShadowsArg {
+    Off,
+    Maps,
+    Traced,
+}
+
+/// Tree of each mesh.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+#[allow(missing_docs)]
+pub enum Blas {
+    #[default]
+    Bvh,
+    Kdtree,
+}
+
+/// SIMD level.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+#[allow(missing_docs)]
+pub enum Simd {
+    #[default]
+    Auto,
+    Portable,
+    Avx2,
+    Avx512,
+}
+
+/// What may stand in for the scenes' own statue and atrium.
+#[derive(Clone, Debug, Default, Args)]
+pub struct SceneArgs {
+    /// glTF or GLB file instead of the statue of rolling-box-venus
+    #[arg(long, value_name = "F")]
+    pub statue: Option<PathBuf>,
+    /// glTF or GLB file instead of the atrium of rolling-box-sponza
+    #[arg(long, value_name = "F")]
+    pub atrium: Option<PathBuf>,
+}
+
+impl SceneArgs {
+    /// For [`crate::scenes::build`].
+    pub fn options(&self) -> SceneOptions {
+        SceneOptions { statue: self.statue.clone(), atrium: self.atrium.clone() }
+    }
+}
+
+/// The options.
+#[derive(Clone, Debug, Default, Args)]
+pub struct PictureArgs {
+    /// Width and height in pixels [default: 1024x1024]
+    #[arg(long, value_name = "WxH", value_parser = parse_size)]
+    pub size: Option<Size>,
+    /// Who makes direct and indirect light
+    #[arg(long, value_enum, default_value_t)]
+    pub raster: Raster,
+    /// Who traces mirrors and glass
+    #[arg(long, value_enum, default_value_t)]
+    pub tracer: Tracer,
+    /// Bundle of settings that the other options change
+    #[arg(long, value_enum, default_value_t)]
+    pub preset: PresetArg,
+    /// Leaves indirect light out
+    #[arg(long)]
+    pub no_indirect: bool,
+    /// Diffuse reflections before the last one to the camera path; 0 leaves indirect light out
+    #[arg(long, value_name = "B", value_parser = clap::value_parser!(u32).range(0..=64))]
+    pub bounces: Option<u32>,
+    /// Shadows of lights
+    #[arg(long, value_enum)]
+    pub shadows: Option<ShadowsArg>,
+    /// Filter of shadow maps
+    #[arg(long, value_enum)]
+    pub shadow_filter: Option<ShadowFilter>,
+    /// Rays per soft light where shadows are traced
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
+    pub shadow_samples: Option<u32>,
+    /// Whether glass throws shadows
+    #[arg(long, value_enum)]
+    pub glass_shadows: Option<GlassShadowsArg>,
+    /// Virtual point lights, of all bounces together; 0 leaves indirect light out
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1 << 20))]
+    pub vpls: Option<u32>,
+    /// Shadows of virtual point lights
+    #[arg(long, value_enum)]
+    pub vpl_shadows: Option<VplShadowsArg>,
+    /// Bound of the VPLs' geometry term in units of 1/(bounding radius)^2, or `off` for none (no bias, bright spots)
+    #[arg(long, value_name = "X|off", value_parser = parse_bound)]
+    pub vpl_bound: Option<Bound>,
+    /// Most mirrors and glass interfaces on a path
+    #[arg(long, value_name = "D", value_parser = clap::value_parser!(u32).range(1..=64))]
+    pub depth: Option<u32>,
+    /// Tree of each mesh
+    #[arg(long, value_enum, default_value_t)]
+    pub blas: Blas,
+    /// Most rays a frame
+    #[arg(long, value_name = "RAYS")]
+    pub budget: Option<u64>,
+    /// Worker threads [default: one a processor]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
+    pub threads: Option<u32>,
+    /// SIMD level of the CPU's kernels
+    #[arg(long, value_enum, default_value_t)]
+    pub simd: Simd,
+    /// Tile side of the CPU's work in pixels, a power of two from 4 to 256
+    #[arg(long, value_name = "T")]
+    pub tile: Option<u32>,
+    /// Seed of sampling patterns
+    #[arg(long, value_name = "S")]
+    pub seed: Option<u32>,
+    /// Exposure of PNGs in stops
+    #[arg(long, value_name = "EV", default_value_t = 0.0, allow_negative_numbers = true, value_parser = parse_exposure)]
+    pub exposure: f32,
+    #[command(flatten)]
+    pub scene: SceneArgs,
+}
+
+/// Bound of the VPLs' geometry term; `None`: no bound.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Bound(pub Option<f32>);
+
+fn parse_bound(text: &str) -> Result<Bound, String> {
+    if text == "off" {
+        return Ok(Bound(None));
+    }
+    match text.parse::<f32>() {
+        Ok(x) if x > 0.0 && x.is_finite() => Ok(Bound(Some(x))),
+        _ => Err("it must be `off` or a number over 0".into()),
+    }
+}
+
+fn parse_exposure(text: &str) -> Result<f32, String> {
+    match text.parse::<f32>() {
+        Ok(ev) if (-64.0..=64.0).contains(&ev) => Ok(ev),
+        _ => Err("it must be a number of stops between -64 and 64".into()),
+    }
+}
+
+impl PictureArgs {
+    /// Refuses explicit choices that this version cannot serve.
+    ///
+    /// # Errors
+    /// The first of them, by name.
+    pub fn refuse_missing(&self) -> Result<(), Failure> {
+        match self.tracer {
+            Tracer::Auto | Tracer::Cpu => {}
+            Tracer::Gpu | Tracer::GpuFragment | Tracer::Rayquery => {
+                let name = self.tracer.to_possible_value().map(|v| v.get_name().to_string()).unwrap_or_default();
+                return Err(Failure::missing(
+                    &format!("--tracer {name}"),
+                    "tracing on the GPU is not in this version; use `auto` or `cpu`",
+                ));
+            }
+        }
+        if self.shadows == Some(ShadowsArg::Certified) {
+            let what = "certified shadows are not in this version; use `moments`, `traced` or `off`";
+            return Err(Failure::missing("--shadows certified", what));
+        }
+        if self.shadow_filter == Some(ShadowFilter::Evsm4) {
+            return Err(Failure::missing("--shadow-filter evsm4", "this filter is not in this version; use `vsm`"));
+        }
+        if self.vpl_shadows == Some(VplShadowsArg::Maps) {
+            let what = "shadow maps of VPLs are not in this version; use `off` or `traced`";
+            return Err(Failure::missing("--vpl-shadows maps", what));
+        }
+        if self.budget.is_some() {
+            return Err(Failure::missing("--budget", "ray budgets are not in this version; leave it out"));
+        }
+        Ok(())
+    }
+
+    /// Settings of a frame; `default_size` where no size was given.
+    ///
+    /// # Errors
+    /// Options that do not go together or lie out of range (wrong use).
+    pub fn settings(&self, default_size: Size) -> Result<hybrid::RenderSettings, Failure> {
+        let preset = match self.preset {
+            PresetArg::Draft => hybrid::Preset::Draft,
+            PresetArg::Interactive => hybrid::Preset::Interactive,
+            PresetArg::High => hybrid::Preset::High,
+        };
+        let mut s = hybrid::RenderSettings::preset(preset);
+        let size = self.size.unwrap_or(default_size);
+        (s.width, s.height) = (size.0, size.1);
+        if let Some(shadows) = self.shadows {
+            s.shadows = match shadows {
+                ShadowsArg::Moments | ShadowsArg::Certified => hybrid::Shadows::Moments,
+                ShadowsArg::Traced => hybrid::Shadows::Traced,
+                ShadowsArg::Off => hybrid::Shadows::Off,
+            };
+        }
+        if let Some(glass) = self.glass_shadows {
+            s.glass_shadows = match glass {
+                GlassShadowsArg::Opaque => hybrid::GlassShadows::Opaque,
+                GlassShadowsArg::Clear => hybrid::GlassShadows::Clear,
+            };
+        }
+        s.shadow_samples = self.shadow_samples.unwrap_or(s.shadow_samples);
+        s.max_depth = self.depth.unwrap_or(s.max_depth);
+        s.tile = self.tile.unwrap_or(s.tile);
+        s.seed = self.seed.unwrap_or(s.seed);
+        s.vpl = self.vpl_options(s.vpl);
+        match s.invalid() {
+            Some(why) => Err(Failure::usage(why)),
+            None => Ok(s),
+        }
+    }
+
+    fn vpl_options(&self, preset: Option<hybrid::VplOptions>) -> Option<hybrid::VplOptions> {
+        if self.no_indirect || self.bounces == Some(0) || self.vpls == Some(0) {
+            return None;
+        }
+        let mut v = preset.unwrap_or_default();
+        v.count = self.vpls.unwrap_or(v.count);
+        // The preset's bounces fit any count; only an explicit number of them can be too many.
+        v.bounces = self.bounces.unwrap_or(v.bounces.min(v.count));
+        if let Some(Bound(bound)) = self.vpl_bound {
+            v.geometry_term_max = bound;
+        }
+        if let Some(shadows) = self.vpl_shadows {
+            v.shadows = match shadows {
+                VplShadowsArg::Off | VplShadowsArg::Maps => hybrid::VplShadows::Off,
+                VplShadowsArg::Traced => hybrid::VplShadows::Traced,
+            };
+        }
+        Some(v)
+    }
+
+    /// What the renderer is made with.
+    pub fn renderer_options(&self) -> hybrid::RendererOptions {
+        hybrid::RendererOptions {
+            raster: match self.raster {
+                Raster::Auto => hybrid::RasterLane::Auto,
+                Raster::Cpu => hybrid::RasterLane::Cpu,
+                Raster::Gpu => hybrid::RasterLane::Gpu,
+            },
+            threads: self.threads.unwrap_or(0) as usize,
+            simd: match self.simd {
+                Simd::Auto => hybrid::SimdLevel::Auto,
+                Simd::Portable => hybrid::SimdLevel::Portable,
+                Simd::Avx2 => hybrid::SimdLevel::Avx2,
+                Simd::Avx512 => hybrid::SimdLevel::Avx512,
+            },
+            blas: match self.blas {
+                Blas::Bvh => hybrid::BlasKind::Bvh,
+                Blas::Kdtree => hybrid::BlasKind::KdTree,
+            },
+        }
+    }
+
+    /// Makes the renderer, and the process's own worker threads as many as were asked for.
+    ///
+    /// # Errors
+    /// An explicit lane or SIMD level that this machine has not.
+    pub fn renderer(&self) -> Result<hybrid::Renderer, Failure> {
+        limit_threads(self.threads);
+        Ok(hybrid::Renderer::new(self.renderer_options())?)
+    }
+}
+
+/// Sets the size of the pool that tone mapping and encoding use.
+pub fn limit_threads(threads: Option<u32>) {
+    if let Some(n) = threads {
+        // Fails only where the pool is there already; then its size is no matter of correctness.
+        let _ = rayon::ThreadPoolBuilder::new().num_threads(n as usize).build_global();
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sizes() {
+        assert_eq!(parse_size("640x480"), Ok(Size(640, 480)));
+        for bad in ["", "x", "640", "0x0", "640x0", "0x480", "-1x5", "16385x1", "99999999999999999999x1", "1x1x1", "a4"]
+        {
+            assert!(parse_size(bad).is_err(), "{bad}");
+        }
+    }
+
+    #[test]
+    fn options_change_the_preset() {
+        let args = PictureArgs { vpls: Some(1), preset: PresetArg::High, ..PictureArgs::default() };
+        let v = args.settings(Size(8, 8)).unwrap().vpl.unwrap();
+        assert_eq!((v.count, v.bounces, v.shadows), (1, 1, hybrid::VplShadows::Traced));
+        let none = PictureArgs { bounces: Some(0), ..PictureArgs::default() };
+        assert_eq!(none.settings(Size(8, 8)).unwrap().vpl, None);
+        let tile = PictureArgs { tile: Some(3), ..PictureArgs::default() };
+        assert!(matches!(tile.settings(Size(8, 8)), Err(Failure::Usage(_))));
+    }
+
+    #[test]
+    fn what_is_missing_is_refused() {
+        let base = PictureArgs::default();
+        assert!(base.refuse_missing().is_ok());
+        let refused = [
+            PictureArgs { tracer: Tracer::Gpu, ..base.clone() },
+            PictureArgs { tracer: Tracer::GpuFragment, ..base.clone() },
+            PictureArgs { tracer: Tracer::Rayquery, ..base.clone() },
+            PictureArgs { shadows: Some(ShadowsArg::Certified), ..base.clone() },
+            PictureArgs { shadow_filter: Some(ShadowFilter::Evsm4), ..base.clone() },
+            PictureArgs { vpl_shadows: Some(VplShadowsArg::Maps), ..base.clone() },
+            PictureArgs { budget: Some(1), ..base.clone() },
+        ];
+        for args in refused {
+            assert!(matches!(args.refuse_missing(), Err(Failure::Other(_))), "{args:?}");
+        }
+    }
+}

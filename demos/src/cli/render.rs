@@ -1,0 +1,204 @@
+//! `render`: frames to files.
+
+use super::{
+    args::{Format, LayerArg, RenderArgs},
+    failure::{Failure, line, note},
+    options::{PictureArgs, Size},
+    progress::Progress,
+    stats::{self, FrameRecord},
+    target::Target,
+    world::World,
+};
+use catoptra_render_hybrid::{Frame, Image, Layer, RenderSettings, Renderer, image_io};
+use serde_json::json;
+use std::{
+    path::{Path, PathBuf},
+    time::Instant,
+};
+
+/// Side of a picture where no size is given.
+pub const DEFAULT_SIZE: Size = Size(1024, 1024);
+
+impl LayerArg {
+    /// The renderer's layer, and its name.
+    pub fn layer(self) -> (Layer, &'static str) {
+        Layer::ALL[self as usize]
+    }
+}
+
+/// What `render` does, also for the bare command.
+pub struct RenderJob<'a> {
+    /// Scenes and files.
+    pub targets: Vec<Target>,
+    /// First frame.
+    pub first: u64,
+    /// Number of frames.
+    pub frames: u64,
+    /// Which layer is written.
+    pub layer: LayerArg,
+    /// In which format.
+    pub format: Format,
+    /// Into which folder.
+    pub out: &'a Path,
+    /// How.
+    pub picture: &'a PictureArgs,
+}
+
+/// Runs `render`.
+pub fn run(args: &RenderArgs) -> Result<(), Failure> {
+    let (first, frames) = match (args.frame, args.frames) {
+        (_, Some(n)) => (0, n),
+        (k, None) => (k.unwrap_or(0), 1),
+    };
+    let (layer, format, out) = (args.layer, args.format, args.out.as_path());
+    render(&RenderJob {
+        targets: Target::parse(&args.target)?,
+        first,
+        frames,
+        layer,
+        format,
+        out,
+        picture: &args.picture,
+    })
+}
+
+/// Renders and writes all frames of all targets, then stats.json.
+pub fn render(job: &RenderJob<'_>) -> Result<(), Failure> {
+    job.picture.refuse_missing()?;
+    let mut settings = job.picture.settings(DEFAULT_SIZE)?;
+    settings.keep_layers = job.layer != LayerArg::Final;
+    let options = job.picture.scene.options();
+    // The machine and the folder are asked before any work is done.
+    let mut renderer = job.picture.renderer()?;
+    let mut ready = false;
+    let mut entries = Vec::new();
+    for target in &job.targets {
+        let mut world = World::open(target, &options)?;
+        if !ready {
+            prepare_folder(job.out)?;
+            ready = true;
+        }
+        entries.push(render_target(job, &mut world, &mut renderer, &settings)?);
+    }
+    let file = json!({
+        "machine": stats::machine(&renderer),
+        "raster": stats::lane_name(renderer.lane()),
+        "device": renderer.device(),
+        "tracer": stats::TRACER,
+        "scenes": entries,
+    });
+    image_io::write_atomically(&job.out.join("stats.json"), format!("{file:#}\n").as_bytes())?;
+    Ok(())
+}
+
+fn render_target(
+    job: &RenderJob<'_>,
+    world: &mut World,
+    renderer: &mut Renderer,
+    settings: &RenderSettings,
+) -> Result<serde_json::Value, Failure> {
+    let (layer, layer_name) = job.layer.layer();
+    // All but the last step before the first frame; that one belongs to the frame's own time.
+    world.advance_to(job.first.saturating_sub(1));
+    let mut progress = Progress::new(&world.name, job.frames);
+    let mut records = Vec::new();
+    let mut size = (settings.width, settings.height);
+    for k in job.first..job.first + job.frames {
+        let (record, picture, srgb8) = make_frame(world, renderer, settings, k, layer, job.picture.exposure)?;
+        if k == job.first && record.stats.non_finite.0 > 0 {
+            let (count, at) = record.stats.non_finite;
+            note(format!("{}: {count} pixels were not finite and are black, the first at {at:?}", world.name));
+        }
+        size = (picture.width, picture.height);
+        let path = picture_path(job.out, &world.name, job.layer, k, job.format);
+        match job.format {
+            Format::Png => image_io::write_png(&path, size.0, size.1, &srgb8)?,
+            Format::Exr => image_io::write_exr(&path, &picture)?,
+        }
+        let text = format!(
+            "frame={k} scene={} hash={} ms={:.3} file={}",
+            world.name,
+            stats::hex(record.hash),
+            record.frame_ms,
+            path.display()
+        );
+        progress.suspend(|| line(text))?;
+        records.push(record);
+        progress.set(k + 1 - job.first);
+    }
+    Ok(stats::scene_entry(&world.name, layer_name, size, world.scene().triangle_count(), &records))
+}
+
+/// Steps the world to frame `k`, draws it and tone-maps it: what `frame_ms` measures.
+///
+/// Returns the figures, the layer as linear light, and its sRGB bytes.
+pub fn make_frame(
+    world: &mut World,
+    renderer: &mut Renderer,
+    settings: &RenderSettings,
+    k: u64,
+    layer: Layer,
+    exposure_ev: f32,
+) -> Result<(FrameRecord, Image, Vec<u8>), Failure> {
+    let start = Instant::now();
+    world.advance(k - world.frame());
+    let physics_ms = millis(start);
+    let frame = renderer.render(world.scene(), settings)?;
+    let tone_map = Instant::now();
+    let Frame { image, layers, stats } = frame;
+    let picture = match layer {
+        Layer::Final => image,
+        _ => layers
+            .into_iter()
+            .find(|(l, _)| *l == layer)
+            .map(|(_, image)| image)
+            .ok_or_else(|| Failure::other(format!("the scene has no {layer:?} layer")))?,
+    };
+    let srgb8 = image_io::srgb8_from_layer(layer, &picture, exposure_ev);
+    let (tone_map_ms, frame_ms) = (millis(tone_map), millis(start));
+    let record = FrameRecord { frame: k, hash: picture.hash(), frame_ms, physics_ms, tone_map_ms, stats };
+    Ok((record, picture, srgb8))
+}
+
+/// Milliseconds since `start`.
+pub fn millis(start: Instant) -> f64 {
+    start.elapsed().as_secs_f64() * 1e3
+}
+
+fn picture_path(out: &Path, name: &str, layer: LayerArg, frame: u64, format: Format) -> PathBuf {
+    let ending = format.extension();
+    match layer {
+        LayerArg::Final => out.join(format!("{name}-{frame:04}.{ending}")),
+        _ => out.join(format!("{name}-{}-{frame:04}.{ending}", layer.layer().1)),
+    }
+}
+
+/// Makes the folder and tries to write into it, so that an unwritable one is told before the work.
+fn prepare_folder(out: &Path) -> Result<(), Failure> {
+    let failed = |e: std::io::Error| Failure::other(format!("cannot write into {}: {e}", out.display()));
+    std::fs::create_dir_all(out).map_err(failed)?;
+    let probe = out.join(format!(".catoptra-{}", std::process::id()));
+    std::fs::write(&probe, []).and_then(|()| std::fs::remove_file(&probe)).map_err(failed)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn layers_and_names_agree() {
+        use clap::ValueEnum;
+        for layer in LayerArg::value_variants() {
+            let name = layer.to_possible_value().unwrap().get_name().to_string();
+            assert_eq!(layer.layer().1, name);
+        }
+    }
+
+    #[test]
+    fn file_names_follow_the_contract() {
+        let name = |layer, frame, format| picture_path(Path::new("o"), "s", layer, frame, format);
+        assert_eq!(name(LayerArg::Final, 7, Format::Png), Path::new("o/s-0007.png"));
+        assert_eq!(name(LayerArg::Indirect, 90, Format::Exr), Path::new("o/s-indirect-0090.exr"));
+        assert_eq!(name(LayerArg::Final, 12345, Format::Exr), Path::new("o/s-12345.exr"));
+    }
+}
