@@ -16,13 +16,13 @@ use catoptra_render_hybrid::{
         vpl::{Vpl, vpl_irradiance},
     },
 };
-use catoptra_tests::gpu_or_skip;
+use catoptra_tests::opened_or_skip;
 use std::{f32::consts::PI, sync::Arc};
 
 const SIZE: u32 = 64;
 
 fn lane(test: &str) -> Option<GpuRaster> {
-    gpu_or_skip(test, GpuRaster::new())
+    opened_or_skip(test, GpuRaster::new())
 }
 
 fn settings(shadows: Shadows) -> RenderSettings {

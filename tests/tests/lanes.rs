@@ -7,7 +7,7 @@ use catoptra_render_hybrid::{
     metrics::{Comparison, compare},
     raster::GpuRaster,
 };
-use catoptra_tests::gpu_or_skip;
+use catoptra_tests::opened_or_skip;
 
 /// The tolerance of the lanes, on the final picture.
 const FLIP_MEAN: f64 = 0.02;
@@ -39,7 +39,7 @@ fn agrees(c: &Comparison) -> bool {
 
 #[test]
 fn lanes_agree_on_every_scene_and_layer() {
-    if gpu_or_skip("lanes_agree_on_every_scene_and_layer", GpuRaster::new()).is_none() {
+    if opened_or_skip("lanes_agree_on_every_scene_and_layer", GpuRaster::new()).is_none() {
         return;
     }
     let (mut cpu, mut gpu) = (renderer(RasterLane::Cpu), renderer(RasterLane::Gpu));
@@ -72,7 +72,7 @@ fn lanes_agree_on_every_scene_and_layer() {
 #[test]
 fn the_tolerance_notices_a_missing_stage() {
     // The mutations that must fail the tolerance: no shadows, no indirect light, no tracing.
-    if gpu_or_skip("the_tolerance_notices_a_missing_stage", GpuRaster::new()).is_none() {
+    if opened_or_skip("the_tolerance_notices_a_missing_stage", GpuRaster::new()).is_none() {
         return;
     }
     let (mut cpu, mut gpu) = (renderer(RasterLane::Cpu), renderer(RasterLane::Gpu));

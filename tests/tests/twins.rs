@@ -17,7 +17,7 @@ use catoptra_render_hybrid::{
         vpl::{self, Vpl},
     },
 };
-use catoptra_tests::gpu_or_skip;
+use catoptra_tests::opened_or_skip;
 
 /// Plain 32-bit float arithmetic, a few roundings: relative to the greater of the value and 1.
 const ARITHMETIC: f32 = 2e-6;
@@ -25,7 +25,7 @@ const ARITHMETIC: f32 = 2e-6;
 const POWER: f32 = 2e-4;
 
 fn probe() -> Option<ShaderProbe> {
-    gpu_or_skip("twins", ShaderProbe::new())
+    opened_or_skip("twins", ShaderProbe::new())
 }
 
 /// Numbers in [0, 1) that are the same on every run.
