@@ -189,7 +189,7 @@ impl<'a> Geometry<'a> {
             pose(&mut data, &kept, joints, &j, &w, place)?;
         }
         let limit = self.limits.coordinate;
-        if let Some(v) = data.positions.iter().position(|p| !(p.abs().max_element() <= limit)) {
+        if let Some(v) = data.positions.iter().position(|p| !p.is_finite() || p.abs().max_element() > limit) {
             let why =
                 format!("position of vertex {} is {:?}, the limit is {limit} m", kept[v], data.positions[v].to_array());
             return Err(GltfError::invalid(place, why));
