@@ -3,7 +3,8 @@
 mod gltf_common;
 
 use catoptra_engine::{
-    Extracted, Hidden, ImportedScene, LightKind, LightSource, Material, MeshInstance, Projection, StableId, Wrap,
+    Aabb, Extracted, Hidden, ImportLimits, ImportedScene, LightKind, LightSource, Material, MeshInstance, Projection,
+    StableId, Wrap,
     app::settle,
     gltf::{GltfError, MAX_SHININESS, roughness_from_shininess, shininess_from_roughness},
     new_app,
@@ -172,6 +173,13 @@ fn materials_follow_the_conventions() {
     assert_eq!(m[7], expected);
     assert_eq!((m[8].emissive, m[8].unlit), (Vec3::new(8.0, 4.0, 0.0), true));
     assert!((m[9].specular - Vec3::new(0.01, 0.0, 0.01)).abs().max_element() < 1e-7);
+    let old = json!([{ "extensions": { "KHR_materials_pbrSpecularGlossiness": {
+        "diffuseFactor": [0.5, 0.25, 1, 1], "specularFactor": [0.5, 0.5, 0.25], "glossinessFactor": 0.5,
+    }}}]);
+    let old = materials(old, json!({})).unwrap().materials[0];
+    let expected =
+        Material { specular: Vec3::new(0.25, 0.25, 0.125), shininess: 30.0, ..Material::lambert(base_color) };
+    assert_eq!(old, expected);
     assert!(scene.report.has_light, "emission is light");
     assert!(scene.report.ignored.is_empty(), "{:?}", scene.report.ignored);
 
@@ -310,6 +318,18 @@ fn spawned_entities_stand_where_the_file_says() {
     assert_eq!(flat.lights[0].intensity, Vec3::new(4.0, 2.0, 1.0));
     assert!(close(&live.camera.world_from_view, &flat.camera.world_from_view));
     assert_eq!((live.camera.projection, live.camera.near), (Projection::Orthographic { half_height: 2.0 }, 0.5));
+
+    // All of it as one mesh stands in the same place.
+    let merged = scene.merged_mesh(&ImportLimits::default()).unwrap();
+    let corners = flat.instances.iter().flat_map(|i| {
+        let pose = i.world_from_object;
+        flat.meshes[0].positions().iter().map(move |p| pose.transform_point3(*p))
+    });
+    let (a, b) = (merged.bounds_object(), Aabb::from_points(corners));
+    assert_eq!(merged.triangles().len(), flat.triangle_count());
+    assert!((a.min - b.min).length() < 1e-5 && (a.max - b.max).length() < 1e-5, "{a:?} against {b:?}");
+    let few = ImportLimits { triangles: 3, ..Default::default() };
+    assert!(matches!(scene.merged_mesh(&few), Err(GltfError::Limit { what: "triangles", value: 4, limit: 3 })));
 
     // Despawning the root leaves nothing.
     app.world_mut().entity_mut(spawned.root).despawn();
