@@ -216,7 +216,7 @@ fn textures_from_data_uris_with_samplers_and_transforms() {
     let r = m.base_color_texture.unwrap();
     assert_eq!((r.uv_set, r.nearest, r.wrap), (0, true, [Wrap::Clamp, Wrap::Mirror]));
     // Counter-clockwise in an image whose v points down: (1, 0) turns towards -v.
-    let (sin, cos) = (0.5_f32.sin(), 0.5_f32.cos());
+    let (sin, cos) = catoptra_engine::math::sin_cos(0.5);
     let got = r.transform_uv(Vec2::X);
     assert!((got - Vec2::new(0.5 + 2.0 * cos, 0.25 - 2.0 * sin)).length() < 1e-6, "{got}");
     assert_eq!(scene.textures[0].texels(), [[255, 64, 255, 255], [0, 192, 0, 255]]);
