@@ -495,3 +495,40 @@ fn a_borrowed_device_serves_and_passes_are_timed() {
     let (up, down) = gpu.counters();
     assert!(up > 0 && down >= u64::from(SIZE * SIZE) * 16);
 }
+
+#[test]
+fn default_limits_suffice_and_lesser_ones_are_refused() {
+    // What every WebGPU implementation grants: the lane asks for no more, so it runs on any host's device.
+    if lane("default_limits_suffice").is_none() {
+        return;
+    }
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
+    let adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::PRIMARY));
+    let device = |required_limits| {
+        let descriptor = wgpu::DeviceDescriptor { required_limits, ..Default::default() };
+        pollster::block_on(adapters[0].request_device(&descriptor)).unwrap()
+    };
+    let (own, queue) = device(wgpu::Limits::default());
+    let mut gpu = GpuRaster::from_device(own, queue).unwrap();
+    gpu.set_timing(true);
+    let scene = box_over_floor(LightKind::Point);
+    let vpls = [Vpl { flux: Vec3::ONE, ..Vpl::default() }];
+    let borrowed = render(&mut gpu, &scene, &settings(Shadows::Moments), &vpls);
+    // No timestamps were asked for: stages are timed by waiting.
+    assert_eq!(gpu.take_pass_times().unwrap().len(), 5);
+    let mut best = lane("default_limits_suffice").unwrap();
+    assert_eq!(borrowed, render(&mut best, &scene, &settings(Shadows::Moments), &vpls));
+
+    let few = wgpu::Limits { max_storage_buffers_per_shader_stage: 4, ..wgpu::Limits::default() };
+    let (own, queue) = device(few);
+    match GpuRaster::from_device(own, queue) {
+        Err(RenderError::Unavailable { missing, .. }) => assert!(missing.contains("storage buffers"), "{missing}"),
+        other => panic!("{:?}", other.err()),
+    }
+
+    // A picture larger than the device's textures is an error, and the lane still works afterwards.
+    let wide = RenderSettings { width: 10_000, height: 4, ..settings(Shadows::Off) };
+    let error = gpu.begin(&scene, &wide, &ShadowPlan::default()).unwrap_err();
+    assert!(error.to_string().contains("10000x4"), "{error}");
+    assert_eq!(borrowed, render(&mut gpu, &scene, &settings(Shadows::Moments), &vpls));
+}
