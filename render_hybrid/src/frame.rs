@@ -137,7 +137,7 @@ fn gpu_frame(
     for (pass, milliseconds) in gpu.take_pass_times()? {
         *match pass {
             "moments" => &mut stages.moments,
-            "gbuffer" => &mut stages.gbuffer,
+            "gbuffer" | "compact" => &mut stages.gbuffer,
             "direct" => &mut stages.direct,
             "indirect" => &mut stages.indirect,
             _ => &mut stages.compose,

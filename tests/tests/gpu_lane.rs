@@ -489,7 +489,7 @@ fn a_borrowed_device_serves_and_passes_are_timed() {
     render(&mut gpu, &scene, &settings(Shadows::Moments), &[Vpl { flux: Vec3::ONE, ..Vpl::default() }]);
     let times = gpu.take_pass_times().unwrap();
     let names: Vec<_> = times.iter().map(|t| t.0).collect();
-    assert_eq!(names, ["moments", "gbuffer", "direct", "indirect", "compose"]);
+    assert_eq!(names, ["moments", "gbuffer", "compact", "direct", "indirect", "compose"]);
     assert!(times.iter().all(|t| t.1 > 0.0 && t.1 < 60_000.0), "{times:?}");
     assert!(gpu.take_pass_times().unwrap().is_empty());
     let (up, down) = gpu.counters();
@@ -515,7 +515,7 @@ fn default_limits_suffice_and_lesser_ones_are_refused() {
     let vpls = [Vpl { flux: Vec3::ONE, ..Vpl::default() }];
     let borrowed = render(&mut gpu, &scene, &settings(Shadows::Moments), &vpls);
     // No timestamps were asked for: stages are timed by waiting.
-    assert_eq!(gpu.take_pass_times().unwrap().len(), 5);
+    assert_eq!(gpu.take_pass_times().unwrap().len(), 6);
     let mut best = lane("default_limits_suffice").unwrap();
     assert_eq!(borrowed, render(&mut best, &scene, &settings(Shadows::Moments), &vpls));
 
