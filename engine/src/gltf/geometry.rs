@@ -8,6 +8,7 @@ use super::{
     error::{GltfError, within},
     limits::ImportLimits,
     report::Ignored,
+    scene::cofactor,
 };
 use crate::mesh::{Mesh, MeshData};
 use glam::{Affine3, Mat3, Vec2, Vec3, Vec4};
@@ -106,10 +107,6 @@ impl<'a> Geometry<'a> {
             4..=6 => "",
             other => return Err(GltfError::invalid(place, format!("primitive mode {other} does not exist"))),
         };
-        if !mode.is_empty() {
-            ignored.note(format!("{mode} primitives"));
-            return Ok(None);
-        }
         let Some(&position) = primitive.attributes.get("POSITION") else {
             ignored.note("primitives without POSITION");
             return Ok(None);
@@ -125,14 +122,23 @@ impl<'a> Geometry<'a> {
         }
         within("vertices", positions.count as u64, self.limits.vertices)?;
 
-        // Triangles, by the file's vertex numbers.
         let corners = Corners::open(self, primitive, positions.count, place)?;
+        if !mode.is_empty() {
+            // Not drawn, but a broken file is a broken file. Walking it counts as work.
+            self.triangles += corners.count as u64;
+            within("triangles", self.triangles, self.limits.triangles)?;
+            (0..corners.count).try_for_each(|i| corners.vertex(i, place).map(drop))?;
+            ignored.note(format!("{mode} primitives"));
+            return Ok(None);
+        }
+
+        // Triangles, by the file's vertex numbers.
         let count = corners.triangle_count(primitive.mode);
+        self.triangles += count as u64;
+        within("triangles", self.triangles, self.limits.triangles)?;
         if primitive.mode == 4 && corners.count % 3 != 0 {
             ignored.note("corners beyond the last whole triangle");
         }
-        self.triangles += count as u64;
-        within("triangles", self.triangles, self.limits.triangles)?;
         let mut triangles = Vec::with_capacity(count);
         for t in 0..count {
             let [a, b, c] = corners_of(primitive.mode, t);
@@ -141,6 +147,9 @@ impl<'a> Geometry<'a> {
         let kept = compact(&mut triangles, positions.count);
         let flat = !primitive.attributes.contains_key("NORMAL");
         self.vertices += if flat { 3 * count as u64 } else { kept.len() as u64 };
+        // A short file can name one large morph target many times over.
+        let targets = primitive.targets.iter().zip(&deform.weights).filter(|(_, w)| **w != 0.0).count();
+        self.vertices = self.vertices.saturating_add(targets as u64 * kept.len() as u64);
         within("vertices", self.vertices, self.limits.vertices)?;
 
         let mut data = MeshData { triangles, ..Default::default() };
@@ -181,7 +190,7 @@ impl<'a> Geometry<'a> {
             pose(&mut data, &kept, joints, &j, &w, place)?;
         }
         let limit = self.limits.coordinate;
-        if let Some(v) = data.positions.iter().position(|p| !(p.abs().max_element() <= limit)) {
+        if let Some(v) = data.positions.iter().position(|p| !p.is_finite() || p.abs().max_element() > limit) {
             let why =
                 format!("position of vertex {} is {:?}, the limit is {limit} m", kept[v], data.positions[v].to_array());
             return Err(GltfError::invalid(place, why));
@@ -273,11 +282,7 @@ fn pose(
         if total > 0.0 {
             data.positions[i] = sum.transform_point3(data.positions[i]);
             if let Some(n) = data.normals.get_mut(i) {
-                // The cofactor matrix carries normals, also where the blend is singular.
-                let m = sum.matrix3;
-                let cofactor =
-                    Mat3::from_cols(m.y_axis.cross(m.z_axis), m.z_axis.cross(m.x_axis), m.x_axis.cross(m.y_axis));
-                *n = cofactor * *n;
+                *n = cofactor(sum.matrix3) * *n;
             }
         }
     }
@@ -359,8 +364,8 @@ fn mend_normals(data: &mut MeshData, ignored: &mut Ignored) {
         let n = (b - a).cross(c - a).normalize_or_zero();
         t.iter().for_each(|&v| sum[v as usize] += n);
     }
+    ignored.note("meshes with normals of no direction (taken from the triangles)");
     for i in broken {
-        ignored.note("vertex normals of no direction (taken from the triangles)");
         data.normals[i] = sum[i].normalize_or(Vec3::Y);
     }
 }

@@ -1,18 +1,7 @@
-//! glTF materials -> Blinn-Phong, mirror, glass.
-//!
-//! With metallic m, roughness r, base colour c and F0 = ((ior − 1)/(ior + 1))² · specularFactor · specularColorFactor:
-//!
-//! * r ≤ 0.01 counts as polished: mirror share m tinted by c, the rest (1 − m) Lambert, no highlight;
-//! * else diffuse k_d = 1 − m, k_s = lerp(F0 (1 − r), c, m), and the exponent whose Blinn-Phong lobe is as wide as the
-//!   microfacet one: α = 2/r⁴ − 2, at most [`MAX_SHININESS`]. A dielectric of roughness 1 is so pure Lambert, a metal of
-//!   roughness 1 (glTF's default) looks the same with albedo c;
-//! * transmission makes smooth glass of the dielectric share (1 − m) t, whatever r is.
-//!
-//! Source of the exponent: Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007
-//! (α_p = 2/α_b² − 2, with glTF's α_b = r²).
+//! glTF materials -> Blinn-Phong, mirror, glass; the formulas are in the docs of [`crate::gltf`].
 
 use super::{
-    document::{MaterialDef, extension, own_extras},
+    document::{MaterialDef, TextureInfo, extension, own_extras},
     error::GltfError,
     report::Ignored,
     textures::Textures,
@@ -28,6 +17,8 @@ pub const MAX_SHININESS: f32 = 16384.0;
 pub(super) const POLISHED: f32 = 0.01;
 
 /// Blinn-Phong exponent for glTF's perceptual roughness `r` in (0, 1]: 2/r⁴ − 2, in [0, [`MAX_SHININESS`]].
+///
+/// Source: Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007 (α = 2/α_b² − 2, α_b = r²).
 pub fn shininess_from_roughness(r: f32) -> f32 {
     let alpha = r * r;
     (2.0 / (alpha * alpha).max(1e-12) - 2.0).clamp(0.0, MAX_SHININESS)
@@ -60,6 +51,28 @@ impl Default for Specular {
             specular_color_factor: [1.0; 3],
             specular_texture: None,
             specular_color_texture: None,
+        }
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+struct SpecularGlossiness {
+    diffuse_factor: [f32; 4],
+    diffuse_texture: Option<TextureInfo>,
+    specular_factor: [f32; 3],
+    glossiness_factor: f32,
+    specular_glossiness_texture: Option<Value>,
+}
+
+impl Default for SpecularGlossiness {
+    fn default() -> Self {
+        Self {
+            diffuse_factor: [1.0; 4],
+            diffuse_texture: None,
+            specular_factor: [1.0; 3],
+            glossiness_factor: 1.0,
+            specular_glossiness_texture: None,
         }
     }
 }
@@ -183,6 +196,22 @@ pub(super) fn translate(
         // Material::matte_weight takes 1 - (1-m) t off; what must remain is (1-m)(1-t).
         let matte = 1.0 - m.transmission;
         m.diffuse = if matte > 0.0 { ((1.0 - metallic) * (1.0 - transmission) / matte).clamp(0.0, 1.0) } else { 0.0 };
+    }
+    if let Some(old) = extension::<SpecularGlossiness>(ext, "KHR_materials_pbrSpecularGlossiness", place)? {
+        let [red, green, blue, _] = old.diffuse_factor;
+        m.base_color = unit3("diffuseFactor", [red, green, blue])?;
+        m.base_color_texture = match &old.diffuse_texture {
+            Some(info) => textures.color(info, place, ignored)?,
+            None => None,
+        };
+        let roughness = 1.0 - unit("glossinessFactor", old.glossiness_factor)?;
+        let specular = unit3("specularFactor", old.specular_factor)?;
+        (m.mirror, m.diffuse) = (0.0, 1.0);
+        m.shininess = shininess_from_roughness(roughness);
+        m.specular = specular * if roughness <= POLISHED { 0.0 } else { 1.0 - roughness };
+        if old.specular_glossiness_texture.is_some() {
+            ignored.note("specularGlossinessTexture");
+        }
     }
     m.unlit = ext.as_ref().is_some_and(|e| e.contains_key("KHR_materials_unlit"));
 
