@@ -27,6 +27,7 @@ use crate::{
         moments::render_moments,
         shadow::ShadowPlan,
         tile::{GBufferPixel, TileRect, TileScratch, TileStats, render_tile},
+        vpl_maps::VplMaps,
     },
 };
 
@@ -90,8 +91,17 @@ fn gpu_frame(
 
     // Where visibility is traced, the CPU finds it.
     let start = Instant::now();
-    let trace_lights = settings.shadows == Shadows::Traced;
-    let trace_vpls = settings.vpl.is_some_and(|v| v.shadows != VplShadows::Off);
+    let trace_lights = matches!(settings.shadows, Shadows::Traced | Shadows::Certified);
+    if settings.shadows == Shadows::Certified {
+        moments(state, level, scene, settings, &mut frame.stats);
+    }
+    let too_many = state.photons.vpls.len() > gpu.most_vpl_maps() as usize;
+    let trace_vpls = settings.vpl.is_some_and(|v| match v.shadows {
+        VplShadows::Off => false,
+        VplShadows::Maps => too_many,
+        VplShadows::Traced => true,
+    });
+    gpu.set_vpl_maps(if too_many { const { &VplMaps::NONE } } else { &state.vpl_maps })?;
     let mut traced = TracedLight::default();
     if trace_lights || trace_vpls {
         let ctx = context(state, level, scene, settings);
@@ -155,10 +165,12 @@ fn structures(state: &mut FrameState, scene: &RenderScene, settings: &RenderSett
     stats.stages_ms.accel = milliseconds(start);
 }
 
-/// Which views the lights need; none unless shadows are moments.
+/// Which views the lights need; none unless shadows come from maps.
 fn shadow_plan(scene: &RenderScene, settings: &RenderSettings) -> ShadowPlan {
     match settings.shadows {
-        Shadows::Moments => ShadowPlan::new(&scene.lights, scene.bounds_world(), &settings.moments),
+        Shadows::Moments | Shadows::Certified => {
+            ShadowPlan::new(&scene.lights, scene.bounds_world(), &settings.moments)
+        }
         Shadows::Traced | Shadows::Off => ShadowPlan::default(),
     }
 }
@@ -182,6 +194,7 @@ fn moments(
 fn virtual_lights(state: &mut FrameState, scene: &RenderScene, settings: &RenderSettings, stats: &mut FrameStats) {
     let start = Instant::now();
     state.photons.vpls.clear();
+    state.vpl_maps.clear();
     if let Some(vpl) = &settings.vpl {
         state.photons.trace(scene, &state.normals, &state.accel, vpl, settings.seed);
         stats.rays.photon = state.photons.rays;

@@ -31,7 +31,7 @@ pub(crate) struct FrameState {
     pub accel: Accel,
     pub normals: NormalMatrices,
     pub maps: ShadowMaps,
-    pub blur_scratch: Vec<[f32; 2]>,
+    pub blur_scratch: Vec<[f32; 4]>,
     pub photons: Photons,
     pub vpl_maps: VplMaps,
     /// One a thread.

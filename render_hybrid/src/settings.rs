@@ -19,10 +19,23 @@ pub enum Shadows {
     /// Filtered variance shadow maps (Donnelly & Lauritzen 2006).
     #[default]
     Moments,
+    /// Depth bounds over the part of the map through which the light's disc is seen prove pixels fully lit or dark; rays as
+    /// in `Traced` decide elsewhere.
+    Certified,
     /// Rays: one for a light of radius 0, else [`RenderSettings::shadow_samples`] on its disc.
     Traced,
     /// None.
     Off,
+}
+
+/// What is stored and filtered in shadow maps.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ShadowFilter {
+    /// z and z² (Donnelly & Lauritzen 2006): bleeds light where occluders overlap.
+    Vsm,
+    /// Moments of two exponential warps of z (Lauritzen & McCool 2008): little bleeding, twice the memory and filtering.
+    #[default]
+    Evsm4,
 }
 
 /// Whether glass throws shadows.
@@ -74,6 +87,8 @@ pub enum SimdLevel {
 /// Shadow moments.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MomentOptions {
+    /// What the maps hold.
+    pub filter: ShadowFilter,
     /// Texels a side of a spot or directional light's map. Higher: finer contacts, quadratic cost.
     pub size: u32,
     /// Texels a side of each of a point light's six faces.
@@ -86,7 +101,13 @@ pub struct MomentOptions {
 
 impl Default for MomentOptions {
     fn default() -> Self {
-        Self { size: 1024, face_size: 512, min_variance: 2e-7, light_bleed_reduction: 0.2 }
+        Self {
+            filter: ShadowFilter::default(),
+            size: 1024,
+            face_size: 512,
+            min_variance: 2e-7,
+            light_bleed_reduction: 0.2,
+        }
     }
 }
 

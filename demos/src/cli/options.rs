@@ -248,13 +248,6 @@ impl PictureArgs {
                 ));
             }
         }
-        if self.shadows == Some(ShadowsArg::Certified) {
-            let what = "certified shadows are not in this version; use `moments`, `traced` or `off`";
-            return Err(Failure::missing("--shadows certified", what));
-        }
-        if self.shadow_filter == Some(ShadowFilter::Evsm4) {
-            return Err(Failure::missing("--shadow-filter evsm4", "this filter is not in this version; use `vsm`"));
-        }
         if self.budget.is_some() {
             return Err(Failure::missing("--budget", "ray budgets are not in this version; leave it out"));
         }
@@ -276,9 +269,16 @@ impl PictureArgs {
         (s.width, s.height) = (size.0, size.1);
         if let Some(shadows) = self.shadows {
             s.shadows = match shadows {
-                ShadowsArg::Moments | ShadowsArg::Certified => hybrid::Shadows::Moments,
+                ShadowsArg::Moments => hybrid::Shadows::Moments,
+                ShadowsArg::Certified => hybrid::Shadows::Certified,
                 ShadowsArg::Traced => hybrid::Shadows::Traced,
                 ShadowsArg::Off => hybrid::Shadows::Off,
+            };
+        }
+        if let Some(filter) = self.shadow_filter {
+            s.moments.filter = match filter {
+                ShadowFilter::Vsm => hybrid::ShadowFilter::Vsm,
+                ShadowFilter::Evsm4 => hybrid::ShadowFilter::Evsm4,
             };
         }
         if let Some(glass) = self.glass_shadows {
@@ -392,8 +392,6 @@ mod tests {
             PictureArgs { tracer: Tracer::Gpu, ..base.clone() },
             PictureArgs { tracer: Tracer::GpuFragment, ..base.clone() },
             PictureArgs { tracer: Tracer::Rayquery, ..base.clone() },
-            PictureArgs { shadows: Some(ShadowsArg::Certified), ..base.clone() },
-            PictureArgs { shadow_filter: Some(ShadowFilter::Evsm4), ..base.clone() },
             PictureArgs { budget: Some(1), ..base.clone() },
         ];
         for args in refused {

@@ -15,6 +15,7 @@ use crate::{
     output::RayCounts,
     settings::{RenderSettings, Shadows, SimdLevel, VplShadows},
     twin::{
+        certified::{Certainty, certify},
         shading::blinn_phong_lobe,
         shadow::ShadowMaps,
         vpl::{Vpl, vpl_irradiance},
@@ -54,7 +55,14 @@ pub fn light_visibility(ctx: &FrameContext, light: u32, s: &Surface, pixel: u32,
             let position = ctx.scene.lights[light as usize].position_world;
             ctx.maps.visibility(light, position, s.position_world, &ctx.settings.moments)
         }
-        Shadows::Traced => {
+        Shadows::Traced | Shadows::Certified => {
+            if ctx.settings.shadows == Shadows::Certified {
+                match certify(ctx.maps, light, &ctx.scene.lights[light as usize], s) {
+                    Certainty::Lit => return 1.0,
+                    Certainty::Dark => return 0.0,
+                    Certainty::Unknown => {}
+                }
+            }
             let samples = if ctx.scene.lights[light as usize].radius > 0.0 { ctx.settings.shadow_samples } else { 1 };
             let turn = sampling::hash_combine(sampling::hash_combine(ctx.settings.seed, pixel), light);
             let rotation = TAU * sampling::unit_f32(turn);

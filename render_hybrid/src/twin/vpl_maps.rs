@@ -26,7 +26,7 @@ pub const DEPTH_SLACK: f32 = 0.04;
 
 /// The receiver's plane is followed towards the VPL down to this share of the receiver's distance, and never away from it:
 /// beyond a concave corner lies another wall, not the plane.
-const NEAREST_PLANE: f32 = 0.5;
+pub const NEAREST_PLANE: f32 = 0.5;
 
 /// Maps of all VPLs of a frame.
 #[derive(Clone, Debug, Default)]
@@ -147,6 +147,15 @@ pub fn map_center(vpl: &Vpl) -> Vec3 {
 }
 
 impl VplMaps {
+    /// No maps.
+    pub const NONE: Self = Self { size: 0, texels: Vec::new() };
+
+    /// Forgets all maps, keeps the memory.
+    pub fn clear(&mut self) {
+        self.size = 0;
+        self.texels.clear();
+    }
+
     /// Makes the maps of `vpls` by rays; returns their number. `size` 0: none.
     pub fn render(
         &mut self,
