@@ -18,7 +18,7 @@ pub fn build(options: &SceneOptions) -> Result<App, BuildError> {
 
     let bronze = Material::mirror(Vec3::new(0.97, 0.90, 0.78), 0.88);
     match &options.statue {
-        Some(path) => files::spawn_statue(&mut stage, path, PLACE, HEIGHT, bronze)?,
+        Some(path) => files::spawn_statue(&mut stage, path, PLACE, HEIGHT, 1.4, bronze)?,
         None => {
             let meshes = statue::statue_meshes(HEIGHT);
             let mirror = stage.material(bronze);
