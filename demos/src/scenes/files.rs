@@ -58,8 +58,33 @@ pub fn spawn_statue(
     Ok(())
 }
 
+/// Where there is ground to roll on: of all surfaces on the upright through the middle of `bounds`, the one with the
+/// most free height above it (file space).
+fn ground(scene: &ImportedScene, bounds: &Aabb) -> f32 {
+    let c = bounds.center();
+    // Off the middle by a little, so that the upright does not run along a seam of a symmetric building.
+    let (x, z) = (c.x + 0.003 * bounds.radius(), c.z + 0.002 * bounds.radius());
+    let mut heights = vec![bounds.max.y];
+    for (primitive, pose) in scene.instances() {
+        let mesh = &scene.meshes[primitive.mesh];
+        for i in 0..mesh.triangles().len() as u32 {
+            let [p, q, r] = mesh.corners(i).map(|v| pose.transform_point3(v));
+            let (e1, e2) = (q - p, r - p);
+            let det = e1.x * e2.z - e2.x * e1.z;
+            let (dx, dz) = (x - p.x, z - p.z);
+            let (u, v) = ((dx * e2.z - e2.x * dz) / det, (e1.x * dz - dx * e1.z) / det);
+            if u >= 0.0 && v >= 0.0 && u + v <= 1.0 {
+                heights.push(p.y + u * e1.y + v * e2.y);
+            }
+        }
+    }
+    heights.sort_by(f32::total_cmp);
+    let gaps = heights.windows(2).max_by(|a, b| (a[1] - a[0]).total_cmp(&(b[1] - b[0])));
+    gaps.map_or(bounds.min.y, |w| w[0])
+}
+
 /// Spawns the file's meshes with its own materials, turned so that the longer side runs along x, and returns their
-/// bounds in the world.
+/// bounds in the world, from the ground of the court up.
 ///
 /// # Errors
 /// [`BuildError::File`] where the file cannot be read or draws nothing.
@@ -75,6 +100,7 @@ pub fn spawn_atrium(stage: &mut Stage, path: &Path) -> Result<Aabb, BuildError> 
         placed.min = Vec3::new(bounds.min.z, bounds.min.y, -bounds.max.x);
         placed.max = Vec3::new(bounds.max.z, bounds.max.y, -bounds.min.x);
     }
+    placed.min.y = ground(&scene, &bounds);
     spawn(stage, &scene, pose);
     Ok(placed)
 }
