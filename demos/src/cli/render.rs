@@ -68,18 +68,21 @@ pub fn render(job: &RenderJob<'_>) -> Result<(), Failure> {
     let mut settings = job.picture.settings(DEFAULT_SIZE)?;
     settings.keep_layers = job.layer != LayerArg::Final;
     let options = job.picture.scene.options();
-    // The machine and the folder are asked before any work is done.
-    let mut renderer = job.picture.renderer()?;
-    let mut ready = false;
+    let mut renderer = None;
     let mut entries = Vec::new();
     for target in &job.targets {
         let mut world = World::open(target, &options)?;
-        if !ready {
-            prepare_folder(job.out)?;
-            ready = true;
-        }
-        entries.push(render_target(job, &mut world, &mut renderer, &settings)?);
+        let renderer = match &mut renderer {
+            Some(renderer) => renderer,
+            // Folder and machine are asked once something can be drawn, and before it is.
+            none => {
+                prepare_folder(job.out)?;
+                none.insert(job.picture.renderer()?)
+            }
+        };
+        entries.push(render_target(job, &mut world, renderer, &settings)?);
     }
+    let Some(renderer) = renderer else { return Ok(()) };
     let file = json!({
         "machine": stats::machine(&renderer),
         "raster": stats::lane_name(renderer.lane()),
