@@ -185,6 +185,8 @@ fn unwritable_places_are_told() {
 #[test]
 fn play_without_a_display_names_render() {
     fails(&["play", "two-spheres", "--raster", "cpu"], 1, "catoptra render two-spheres");
+    fails(&["play", "--raster", "cpu"], 1, "catoptra render all");
+    fails(&["play", "--record", "game.rec"], 1, "--record");
 }
 
 #[test]
