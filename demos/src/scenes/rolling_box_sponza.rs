@@ -64,6 +64,6 @@ pub fn build(options: &SceneOptions) -> Result<App, BuildError> {
 
     let eye = sway(at(5.1, 1.9, 1.2), Vec3::new(0.4, 0.25, 0.9) * unit, [13.0, 9.0, 15.0], [0.0, 0.0, 0.6]);
     let target = sway(at(-1.2, 1.75, -0.3), Vec3::new(0.0, 0.1, 0.5) * unit, [9.0, 7.0, 15.0], [0.0, 0.5, 0.6]);
-    stage.camera(looking(eye, target), 62.0);
+    stage.camera(looking(eye, target), 58.0);
     Ok(stage.finish())
 }

@@ -45,5 +45,6 @@ fn vertex(@builtin(vertex_index) corner: u32, @builtin(instance_index) instance_
 
 @fragment
 fn fragment(in: Varyings) -> @location(0) vec4f {
-    return vec4f(in.depth, in.depth * in.depth, 0.0, 0.0);
+    let depth = clamp(in.depth, 0.0, 1.0);
+    return vec4f(depth, depth * depth, 0.0, 0.0);
 }

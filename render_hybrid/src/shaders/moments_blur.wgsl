@@ -9,12 +9,14 @@ fn blur(texel: vec2u, layer: u32, axis: vec2i) {
     if any(at >= size) {
         return;
     }
-    var sum = textureLoad(source, at, layer, 0).xy * GAUSSIAN_7[3];
-    for (var i = 1; i <= 3; i += 1) {
+    // Outermost pair first, as on the CPU.
+    var sum = vec2f(0.0);
+    for (var i = 3; i >= 1; i -= 1) {
         let before = textureLoad(source, clamp(at - axis * i, vec2i(0), size - 1), layer, 0).xy;
         let after = textureLoad(source, clamp(at + axis * i, vec2i(0), size - 1), layer, 0).xy;
         sum += (before + after) * GAUSSIAN_7[3 - i];
     }
+    sum += textureLoad(source, at, layer, 0).xy * GAUSSIAN_7[3];
     textureStore(destination, at, layer, vec4f(sum, 0.0, 0.0));
 }
 
