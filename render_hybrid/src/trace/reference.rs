@@ -230,7 +230,7 @@ impl Path<'_> {
                         return radiance;
                     }
                     inside = o.behind;
-                    ray = Ray::new(s.offset_origin(ray.direction), ray.direction);
+                    ray = s.leaving_ray(ray.direction);
                     continue;
                 }
                 reflected_weight = o.reflected.element_sum();
@@ -252,7 +252,7 @@ impl Path<'_> {
                 if s.n_geometric.dot(d) <= 0.0 {
                     return radiance;
                 }
-                ray = Ray::new(s.offset_origin(d), d);
+                ray = s.leaving_ray(d);
                 diffuse_bounces += 1;
                 inside = MediumStack::default();
                 continue;
@@ -261,12 +261,12 @@ impl Path<'_> {
             if choice < matte_weight + reflected_weight || transmitted_weight <= 0.0 {
                 throughput *= optics.reflected / reflected_weight;
                 let r = super::whitted::above_horizon(reflect(-ray.direction, s.n_shading), s.n_geometric);
-                ray = Ray::new(s.offset_origin(r), r);
+                ray = s.leaving_ray(r);
             } else {
                 throughput *= optics.transmitted / transmitted_weight;
                 let t = optics.transmitted_direction.expect("a weight over zero came with it");
                 inside = optics.behind;
-                ray = Ray::new(s.offset_origin(t), t);
+                ray = s.leaving_ray(t);
             }
             interfaces += 1;
             if throughput.max_element() < 1e-5 {
