@@ -41,6 +41,19 @@ pub struct Light {
 }
 
 impl Light {
+    /// A hard point light of 1 W/sr per channel at `position_world`.
+    pub fn point(stable_id: u64, position_world: Vec3) -> Self {
+        Self {
+            stable_id,
+            kind: LightKind::Point,
+            position_world,
+            direction_world: Vec3::NEG_Z,
+            up_world: Vec3::Y,
+            intensity: Vec3::ONE,
+            radius: 0.0,
+        }
+    }
+
     /// Light towards a point: (unit direction from `point_world` to the light, distance, radiant intensity / distance² per
     /// channel before the receiver's cosine). Directional: distance is +infinity. Zero light at the light's own position.
     ///

@@ -83,6 +83,7 @@ fn gpu_frame(
     frame.stats.raster = RasterLane::Gpu;
     // The GPU renders moments, G-buffer and mask while the CPU updates its structures and traces photons.
     let plan = shadow_plan(scene, settings);
+    gpu.set_timing(settings.time_passes);
     gpu.begin(scene, settings, &plan)?;
     structures(state, scene, settings, &mut frame.stats);
     virtual_lights(state, scene, settings, &mut frame.stats);
@@ -130,7 +131,16 @@ fn gpu_frame(
     frame.stats.stages_ms.transfer += milliseconds(start);
     blacken_non_finite(&mut frame.image, &mut frame.stats);
     (frame.stats.bytes_up, frame.stats.bytes_down) = gpu.counters();
-    gpu.take_pass_times(&mut frame.stats.stages_ms);
+    let stages = &mut frame.stats.stages_ms;
+    for (pass, milliseconds) in gpu.take_pass_times()? {
+        *match pass {
+            "moments" => &mut stages.moments,
+            "gbuffer" => &mut stages.gbuffer,
+            "direct" => &mut stages.direct,
+            "indirect" => &mut stages.indirect,
+            _ => &mut stages.compose,
+        } += milliseconds;
+    }
     Ok(())
 }
 

@@ -137,6 +137,8 @@ pub struct RenderSettings {
     pub seed: u32,
     /// Keep every layer beside the final picture. Costs memory traffic, and read-back on the GPU lane.
     pub keep_layers: bool,
+    /// Measure each GPU pass. Free where the adapter has timestamps; elsewhere it waits after each pass.
+    pub time_passes: bool,
 }
 
 impl Default for RenderSettings {
@@ -174,6 +176,7 @@ impl RenderSettings {
             tile: 32,
             seed: 0,
             keep_layers: false,
+            time_passes: false,
         };
         match preset {
             Preset::Draft => Self {

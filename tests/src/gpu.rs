@@ -27,10 +27,19 @@ pub fn skip(test: &str, why: &str) {
 /// A renderer on the GPU lane (software Vulkan counts), or `None` after [`skip`].
 ///
 /// # Panics
-/// Where there is an adapter that fails in any other way than not being there, and as [`skip`].
+/// As [`opened_or_skip`].
 pub fn gpu_or_skip(test: &str) -> Option<Renderer> {
-    match Renderer::new(RendererOptions { raster: RasterLane::Gpu, ..RendererOptions::default() }) {
-        Ok(renderer) => Some(renderer),
+    let options = RendererOptions { raster: RasterLane::Gpu, ..RendererOptions::default() };
+    opened_or_skip(test, Renderer::new(options))
+}
+
+/// Whatever part of the GPU lane was opened, or `None` after [`skip`] where this machine has no adapter.
+///
+/// # Panics
+/// Where there is an adapter that fails in any other way than not being there, and as [`skip`].
+pub fn opened_or_skip<T>(test: &str, opened: Result<T, RenderError>) -> Option<T> {
+    match opened {
+        Ok(gpu) => Some(gpu),
         Err(RenderError::Unavailable { missing, .. }) => {
             skip(test, &missing);
             None

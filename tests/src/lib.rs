@@ -24,7 +24,7 @@ mod numbers;
 mod shared;
 mod snapshot;
 
-pub use gpu::{gpu_or_skip, skip, skips};
+pub use gpu::{gpu_or_skip, opened_or_skip, skip, skips};
 pub use hand::{HandScene, at, wall_of_positions};
 pub use hashes::{HashError, HashLedger};
 pub use known_issue::known_issue;
@@ -36,3 +36,8 @@ pub use snapshot::{FlipLimits, Rendering, SnapshotError, SnapshotFolder, Snapsho
 pub fn updating_goldens() -> bool {
     std::env::var_os("CATOPTRA_UPDATE_GOLDENS").is_some_and(|v| !v.is_empty() && v != "0")
 }
+
+/// The README's example, compiled and run.
+#[cfg(doctest)]
+#[doc = include_str!("../../README.md")]
+struct Readme;

@@ -48,6 +48,7 @@ pub struct PlayArgs {
     /// Records the game for `replay`
     #[arg(long, value_name = "FILE")]
     pub record: Option<PathBuf>,
+    /// How the picture is made
     #[command(flatten)]
     pub picture: PictureArgs,
 }
@@ -109,6 +110,7 @@ pub struct RenderArgs {
     /// Folder of the files, made where it is missing
     #[arg(long, value_name = "DIR", default_value = "out")]
     pub out: PathBuf,
+    /// How the picture is made
     #[command(flatten)]
     pub picture: PictureArgs,
 }
@@ -125,6 +127,7 @@ pub struct BenchArgs {
     /// Writes the figures as JSON, to stdout where no file is named
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "-")]
     pub json: Option<PathBuf>,
+    /// How the picture is made
     #[command(flatten)]
     pub picture: PictureArgs,
 }
@@ -165,6 +168,7 @@ pub struct ReferenceArgs {
     /// Worker threads [default: one a processor]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
     pub threads: Option<u32>,
+    /// What stands in for parts of the scenes
     #[command(flatten)]
     pub scene: SceneArgs,
 }
@@ -181,6 +185,7 @@ pub struct JudgeArgs {
     /// Samples a pixel of the reference
     #[arg(long, value_name = "N", default_value_t = 256, value_parser = clap::value_parser!(u32).range(2..=1 << 24))]
     pub spp: u32,
+    /// How the picture is made
     #[command(flatten)]
     pub picture: PictureArgs,
 }
@@ -209,6 +214,7 @@ pub struct ExportArgs {
     /// The file
     #[arg(value_name = "FILE.glb")]
     pub file: PathBuf,
+    /// What stands in for parts of the scenes
     #[command(flatten)]
     pub scene: SceneArgs,
 }

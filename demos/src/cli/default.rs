@@ -28,6 +28,7 @@ pub fn run() -> Result<(), Failure> {
                 picture: &picture,
             })
         }
-        done => done.map_err(Failure::from),
+        Err(play::PlayError::Other(failure)) => Err(failure),
+        Ok(()) => Ok(()),
     }
 }

@@ -35,25 +35,35 @@ impl Failure {
         let text = error.to_string();
         let told = text.split("\n\nUsage:").next().unwrap_or(&text);
         let told = told.split("\n\nFor more information").next().unwrap_or(told);
-        let told = told.strip_prefix("error: ").unwrap_or(told);
+        let told = told.strip_prefix("error: ").unwrap_or(told).replace("\n\n  tip:", "; tip:");
         if error.kind() == clap::error::ErrorKind::DisplayHelpOnMissingArgumentOrSubcommand {
             return Self::usage("a subcommand or an argument is missing; see `catoptra --help`");
         }
-        Self::usage(format!("{}; see `catoptra --help`", one_line(told)))
+        Self::usage(format!("{}; see `catoptra --help`", one_line(&told)))
+    }
+
+    /// The one line.
+    pub fn text(&self) -> String {
+        match self {
+            Self::Usage(message) => one_line(message),
+            // Our errors carry their cause in their own text.
+            Self::Other(error) => one_line(&error.to_string()),
+            Self::ReaderGone => "nobody reads the output".into(),
+        }
     }
 
     /// Prints the one line and gives the exit status.
     pub fn report(&self) -> ExitCode {
-        let (status, message) = match self {
-            Self::Usage(message) => (2, message.clone()),
-            Self::Other(error) => {
-                let wrong_use = matches!(error.downcast_ref::<RenderError>(), Some(RenderError::Settings(_)));
-                (if wrong_use { 2 } else { 1 }, format!("{error:#}"))
-            }
+        let status = match self {
+            Self::Usage(_) => 2,
+            Self::Other(error) => match error.downcast_ref::<RenderError>() {
+                Some(RenderError::Settings(_)) => 2,
+                _ => 1,
+            },
             Self::ReaderGone => return ExitCode::SUCCESS,
         };
         // A closed stderr leaves the status alone to tell.
-        let _ = writeln!(std::io::stderr(), "catoptra: {}", one_line(&message));
+        let _ = writeln!(std::io::stderr(), "catoptra: {}", self.text());
         ExitCode::from(status)
     }
 }

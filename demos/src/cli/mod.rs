@@ -21,8 +21,10 @@ mod target;
 mod world;
 
 pub use args::{Cli, Command, PlayArgs};
-pub use failure::Failure;
-pub use options::PictureArgs;
+pub use failure::{Failure, note};
+pub use options::{PictureArgs, Size};
+pub use render::millis;
+pub use target::Target;
 pub use world::World;
 
 use clap::{CommandFactory, Parser, error::ErrorKind};

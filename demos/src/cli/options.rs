@@ -203,6 +203,7 @@ pub struct PictureArgs {
     /// Exposure of PNGs in stops
     #[arg(long, value_name = "EV", default_value_t = 0.0, allow_negative_numbers = true, value_parser = parse_exposure)]
     pub exposure: f32,
+    /// What stands in for parts of the scenes
     #[command(flatten)]
     pub scene: SceneArgs,
 }

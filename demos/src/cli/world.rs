@@ -46,6 +46,11 @@ impl World {
         }
     }
 
+    /// The app behind it, for showing poses that are no whole step.
+    pub fn app_mut(&mut self) -> &mut App {
+        &mut self.app
+    }
+
     /// The scene as it stands.
     pub fn scene(&self) -> &RenderScene {
         &self.app.world().resource::<Extracted>().0

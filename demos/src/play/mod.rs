@@ -1,6 +1,20 @@
 //! `play`: a scene in a window.
+//!
+//! Two threads. The worker (`worker`) owns world and renderer: it makes fixed steps of 1/60 s as time passes and draws as
+//! fast as it can, at a size that holds the frame rate. The window's thread (`app`) shows the newest picture, takes input
+//! and draws the panel; it never waits for a frame, so the panel answers however dear the picture is. Between them stand
+//! two mailboxes (`shared`): what the user wants, and the newest picture.
 
-use crate::cli::{Failure, PictureArgs, PlayArgs};
+mod app;
+mod panel;
+mod pose;
+mod present;
+mod shared;
+mod worker;
+
+use crate::cli::{Failure, PictureArgs, PlayArgs, Target};
+use crate::scenes::SCENES;
+use shared::Controls;
 
 /// Why nothing is played.
 #[derive(Debug)]
@@ -11,22 +25,54 @@ pub enum PlayError {
     Other(Failure),
 }
 
+impl<E: Into<Failure>> From<E> for PlayError {
+    fn from(e: E) -> Self {
+        Self::Other(e.into())
+    }
+}
+
 /// Runs `play`.
 pub fn run(args: &PlayArgs) -> Result<(), Failure> {
-    let _ = args;
-    Err(Failure::other("no window"))
-}
-
-/// Plays a scene until the window is closed.
-pub fn play(_scene: Option<&str>, _picture: &PictureArgs) -> Result<(), PlayError> {
-    Err(PlayError::NoWindow("there is no display".into()))
-}
-
-impl From<PlayError> for Failure {
-    fn from(e: PlayError) -> Self {
-        match e {
-            PlayError::NoWindow(why) => Failure::other(why),
-            PlayError::Other(f) => f,
+    if args.record.is_some() {
+        return Err(Failure::missing("--record", "recording is not in this version; leave it out"));
+    }
+    play(args.scene.as_deref(), &args.picture).map_err(|e| match e {
+        PlayError::NoWindow(why) => {
+            let scene = args.scene.as_deref().unwrap_or("all");
+            Failure::other(format!("{why}: `catoptra render {scene}` makes pictures without a window"))
         }
+        PlayError::Other(failure) => failure,
+    })
+}
+
+/// Plays a scene, or lets the user pick one, until the window is closed.
+///
+/// # Errors
+/// [`PlayError::NoWindow`] where there is no display or nothing can draw on it; an unknown scene; an explicit choice of
+/// `picture` that cannot be served.
+pub fn play(scene: Option<&str>, picture: &PictureArgs) -> Result<(), PlayError> {
+    picture.refuse_missing()?;
+    let target = match scene {
+        None => None,
+        Some(name) => Some(Target::parse_one(name)?),
+    };
+    let controls = Controls::new(target, picture)?;
+    app::run(controls, picture)
+}
+
+/// The scene with a number of the list, from 1, for picking by key.
+fn scene_by_number(number: usize) -> Option<Target> {
+    SCENES.get(number.checked_sub(1)?).map(|s| Target::Scene(s.name))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_name_scenes() {
+        assert_eq!(scene_by_number(0), None);
+        assert_eq!(scene_by_number(1), Some(Target::Scene("rolling-box")));
+        assert_eq!(scene_by_number(6), None);
     }
 }

@@ -106,10 +106,6 @@ impl<'a> Geometry<'a> {
             4..=6 => "",
             other => return Err(GltfError::invalid(place, format!("primitive mode {other} does not exist"))),
         };
-        if !mode.is_empty() {
-            ignored.note(format!("{mode} primitives"));
-            return Ok(None);
-        }
         let Some(&position) = primitive.attributes.get("POSITION") else {
             ignored.note("primitives without POSITION");
             return Ok(None);
@@ -125,14 +121,23 @@ impl<'a> Geometry<'a> {
         }
         within("vertices", positions.count as u64, self.limits.vertices)?;
 
-        // Triangles, by the file's vertex numbers.
         let corners = Corners::open(self, primitive, positions.count, place)?;
+        if !mode.is_empty() {
+            // Not drawn, but a broken file is a broken file. Walking it counts as work.
+            self.triangles += corners.count as u64;
+            within("triangles", self.triangles, self.limits.triangles)?;
+            (0..corners.count).try_for_each(|i| corners.vertex(i, place).map(drop))?;
+            ignored.note(format!("{mode} primitives"));
+            return Ok(None);
+        }
+
+        // Triangles, by the file's vertex numbers.
         let count = corners.triangle_count(primitive.mode);
+        self.triangles += count as u64;
+        within("triangles", self.triangles, self.limits.triangles)?;
         if primitive.mode == 4 && corners.count % 3 != 0 {
             ignored.note("corners beyond the last whole triangle");
         }
-        self.triangles += count as u64;
-        within("triangles", self.triangles, self.limits.triangles)?;
         let mut triangles = Vec::with_capacity(count);
         for t in 0..count {
             let [a, b, c] = corners_of(primitive.mode, t);
@@ -141,6 +146,9 @@ impl<'a> Geometry<'a> {
         let kept = compact(&mut triangles, positions.count);
         let flat = !primitive.attributes.contains_key("NORMAL");
         self.vertices += if flat { 3 * count as u64 } else { kept.len() as u64 };
+        // A short file can name one large morph target many times over.
+        let targets = primitive.targets.iter().zip(&deform.weights).filter(|(_, w)| **w != 0.0).count();
+        self.vertices = self.vertices.saturating_add(targets as u64 * kept.len() as u64);
         within("vertices", self.vertices, self.limits.vertices)?;
 
         let mut data = MeshData { triangles, ..Default::default() };
@@ -359,8 +367,8 @@ fn mend_normals(data: &mut MeshData, ignored: &mut Ignored) {
         let n = (b - a).cross(c - a).normalize_or_zero();
         t.iter().for_each(|&v| sum[v as usize] += n);
     }
+    ignored.note("meshes with normals of no direction (taken from the triangles)");
     for i in broken {
-        ignored.note("vertex normals of no direction (taken from the triangles)");
         data.normals[i] = sum[i].normalize_or(Vec3::Y);
     }
 }

@@ -5,7 +5,7 @@ use super::{
     buffers::{Buffers, Source, read_file},
     container,
     document::{Document, Node, item, own_extras},
-    error::GltfError,
+    error::{GltfError, within},
     geometry::{Deform, Geometry},
     limits::ImportLimits,
     materials, nodes, punctual,
@@ -37,7 +37,7 @@ pub fn load_gltf(path: &Path, limits: &ImportLimits) -> Result<ImportedScene, Gl
 /// # Errors
 /// [`GltfError`], one line that names the place.
 pub fn load_gltf_bytes(bytes: &[u8], base: Option<&Path>, limits: &ImportLimits) -> Result<ImportedScene, GltfError> {
-    super::error::within("bytes", bytes.len() as u64, limits.bytes)?;
+    within("bytes", bytes.len() as u64, limits.bytes)?;
     let (json, bin) = container::split(bytes)?;
     let document = container::parse(json, limits)?;
     let order = nodes::order(&document, limits)?;
@@ -91,12 +91,16 @@ pub fn load_gltf_bytes(bytes: &[u8], base: Option<&Path>, limits: &ImportLimits)
     // Meshes, and the materials that they use.
     let mut geometry = Geometry::new(&document, &buffers, limits);
     let mut textures = Textures::new(&document, &buffers, limits, &mut source);
+    let mut instances = 0;
     let mut joints_of: BTreeMap<u32, Arc<[Affine3]>> = BTreeMap::new();
     let mut material_of: BTreeMap<Option<u32>, usize> = BTreeMap::new();
     for (&(number, _), &at) in order.iter().zip(&stands_for) {
         let node = &document.nodes[number as usize];
         let Some(mesh) = node.mesh else { continue };
         let def = item(&document.meshes, mesh, "mesh", &format!("node {number}"))?;
+        // One mesh of many primitives under many nodes: a product that a short file can make huge.
+        instances += def.primitives.len() as u64;
+        within("instances", instances, limits.instances)?;
         let skin = match node.skin {
             Some(skin) => {
                 if let Entry::Vacant(slot) = joints_of.entry(skin) {

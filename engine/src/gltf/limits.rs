@@ -8,7 +8,7 @@ pub struct ImportLimits {
     pub bytes: u64,
     /// Values in the JSON text (a node takes about ten). Default 4,194,304.
     pub json_tokens: u64,
-    /// Vertices of all meshes built, shared ones once. Default 16,777,216.
+    /// Vertices of all meshes built, shared ones once; each morph target that is applied counts again. Default 16,777,216.
     pub vertices: u64,
     /// Triangles of all meshes built, shared ones once. Default 16,777,216.
     pub triangles: u64,
@@ -18,6 +18,8 @@ pub struct ImportLimits {
     pub texture_pixels: u64,
     /// Nodes in the file. Default 262,144.
     pub nodes: u64,
+    /// Mesh primitives of all nodes, together. Default 1,048,576.
+    pub instances: u64,
     /// Depth of the node hierarchy. Default 256.
     pub depth: u64,
     /// Largest absolute coordinate, metres, in object and world space. Default 1e9.
@@ -34,6 +36,7 @@ impl Default for ImportLimits {
             image_pixels: 1 << 26,
             texture_pixels: 1 << 29,
             nodes: 1 << 18,
+            instances: 1 << 20,
             depth: 256,
             coordinate: 1e9,
         }

@@ -1,15 +1,4 @@
-//! glTF materials -> Blinn-Phong, mirror, glass.
-//!
-//! With metallic m, roughness r, base colour c and F0 = ((ior − 1)/(ior + 1))² · specularFactor · specularColorFactor:
-//!
-//! * r ≤ 0.01 counts as polished: mirror share m tinted by c, the rest (1 − m) Lambert, no highlight;
-//! * else diffuse k_d = 1 − m, k_s = lerp(F0 (1 − r), c, m), and the exponent whose Blinn-Phong lobe is as wide as the
-//!   microfacet one: α = 2/r⁴ − 2, at most [`MAX_SHININESS`]. A dielectric of roughness 1 is so pure Lambert, a metal of
-//!   roughness 1 (glTF's default) looks the same with albedo c;
-//! * transmission makes smooth glass of the dielectric share (1 − m) t, whatever r is.
-//!
-//! Source of the exponent: Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007
-//! (α_p = 2/α_b² − 2, with glTF's α_b = r²).
+//! glTF materials -> Blinn-Phong, mirror, glass; the formulas are in the docs of [`crate::gltf`].
 
 use super::{
     document::{MaterialDef, extension, own_extras},
@@ -28,6 +17,8 @@ pub const MAX_SHININESS: f32 = 16384.0;
 pub(super) const POLISHED: f32 = 0.01;
 
 /// Blinn-Phong exponent for glTF's perceptual roughness `r` in (0, 1]: 2/r⁴ − 2, in [0, [`MAX_SHININESS`]].
+///
+/// Source: Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007 (α = 2/α_b² − 2, α_b = r²).
 pub fn shininess_from_roughness(r: f32) -> f32 {
     let alpha = r * r;
     (2.0 / (alpha * alpha).max(1e-12) - 2.0).clamp(0.0, MAX_SHININESS)

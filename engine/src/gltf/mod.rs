@@ -1,13 +1,24 @@
 //! glTF 2.0 and GLB, in and out.
 //!
 //! **In**: [`load_gltf`] gives an [`ImportedScene`] (flat arrays), which [`ImportedScene::spawn`] turns into entities or
-//! [`ImportedScene::to_render_scene`] into a `RenderScene`. Nodes, meshes (lists, strips, fans; sparse, interleaved,
-//! normalised, quantised), morph targets and skins at the pose of the file, base-colour and emissive textures, samplers,
-//! cameras, and the extensions `KHR_lights_punctual`, `KHR_materials_{transmission, ior, volume, specular,
-//! emissive_strength, unlit}`, `KHR_mesh_quantization`, `KHR_texture_transform`. What each material becomes is written
-//! down with [`shininess_from_roughness`] and in the design's conventions: r = 0 is mirror of share metallic, closed glass
-//! refracts with or without a volume, shading is two-sided, light ranges and volume thickness are ignored. All else is
-//! listed in [`ImportReport::ignored`]; an extension that a file requires and that is not supported is an error by name.
+//! [`ImportedScene::to_render_scene`] into a `RenderScene`. Read are nodes, meshes (lists, strips, fans; sparse,
+//! interleaved, normalised, quantised), morph targets and skins at the pose of the file, base-colour and emissive textures,
+//! samplers, cameras, and the extensions `KHR_lights_punctual`, `KHR_materials_{transmission, ior, volume, specular,
+//! emissive_strength, unlit}`, `KHR_mesh_quantization`, `KHR_texture_transform`. Shading is two-sided whatever
+//! `doubleSided` says; thickness of volumes is ignored, the geometry is. All else is listed in [`ImportReport::ignored`],
+//! also an image that is missing or broken; an extension that a file requires and that is not supported is an error by
+//! name, unless it only changes the look of a surface (clearcoat, sheen and the like).
+//!
+//! # Materials
+//! With metallic m, roughness r, base colour c and F0 = ((ior − 1)/(ior + 1))² · specularFactor · specularColorFactor:
+//!
+//! * r ≤ 0.01 counts as polished: mirror share m tinted by c, the rest (1 − m) Lambert, no highlight;
+//! * else diffuse k_d = 1 − m, k_s = lerp(F0 (1 − r), c, m), and the exponent whose Blinn-Phong lobe is as wide as the
+//!   microfacet one, [`shininess_from_roughness`]. A dielectric of roughness 1 is so pure Lambert, and a metal of roughness
+//!   1 (glTF's default) looks nearly so, with albedo c;
+//! * transmission t makes smooth glass of the dielectric share (1 − m) t, whatever r is; closed meshes refract with or
+//!   without a volume;
+//! * a metallic-roughness texture counts by its mean.
 //!
 //! **Out**: [`export_glb`] writes the posed frame so that other renderers can draw it and [`load_gltf`] gets back the same
 //! instances, materials, lights and camera.

@@ -76,10 +76,12 @@ pub(super) fn light(
             if !(inner >= 0.0 && inner <= outer && outer <= 1.570_8) {
                 return Err(GltfError::invalid(place, format!("cone angles {inner} and {outer} are no cone")));
             }
-            LightKind::Spot {
-                cos_inner: own("cos_inner").unwrap_or_else(|| math::cos(inner)),
-                cos_outer: own("cos_outer").unwrap_or_else(|| math::cos(outer)),
+            let cos_inner = own("cos_inner").unwrap_or_else(|| math::cos(inner));
+            let cos_outer = own("cos_outer").unwrap_or_else(|| math::cos(outer));
+            if !(cos_inner <= 1.0 && cos_outer <= cos_inner && cos_outer >= -1.0) {
+                return Err(GltfError::invalid(place, format!("cone cosines {cos_inner} and {cos_outer} are no cone")));
             }
+            LightKind::Spot { cos_inner, cos_outer }
         }
         other => return Err(GltfError::invalid(place, format!("light type {other:?} does not exist"))),
     };

@@ -73,7 +73,9 @@ impl<'a> Textures<'a> {
         let texture = match self.known.get(&image) {
             Some(&texture) => texture,
             None => {
-                let pixels = self.decode(image)?;
+                let Some(pixels) = self.decode_or_note(image, ignored)? else {
+                    return Ok(None);
+                };
                 let (width, height) = pixels.dimensions();
                 let texels = pixels.into_raw().as_chunks::<4>().0.to_vec();
                 let texture = Texture::new(width, height, texels, true)
@@ -123,7 +125,9 @@ impl<'a> Textures<'a> {
         if let Some(&mean) = self.means.get(&image) {
             return Ok(Some(mean));
         }
-        let pixels = self.decode(image)?;
+        let Some(pixels) = self.decode_or_note(image, ignored)? else {
+            return Ok(None);
+        };
         let mut sum = [0_u64; 2];
         for p in pixels.pixels() {
             sum[0] += u64::from(p.0[1]);
@@ -145,6 +149,24 @@ impl<'a> Textures<'a> {
             });
         }
         Ok(def.source)
+    }
+
+    /// An image that is missing or broken costs the look of a surface, not the scene: noted, with its reason. What passes
+    /// a limit or reaches for a forbidden place stays an error.
+    fn decode_or_note(&mut self, index: u32, ignored: &mut Ignored) -> Result<Option<RgbaImage>, GltfError> {
+        match self.decode(index) {
+            Ok(image) => Ok(Some(image)),
+            Err(error @ (GltfError::Limit { .. } | GltfError::Uri { .. })) => Err(error),
+            Err(GltfError::Io { path, source }) => {
+                let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+                ignored.note(format!("image {index} ({name}: {source})"));
+                Ok(None)
+            }
+            Err(error) => {
+                ignored.note(error.to_string());
+                Ok(None)
+            }
+        }
     }
 
     fn decode(&mut self, index: u32) -> Result<RgbaImage, GltfError> {

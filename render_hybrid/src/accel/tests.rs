@@ -539,7 +539,7 @@ fn edits_equal_a_fresh_structure() {
             assert_eq!(bits(&accel.closest_hit(&ray)), bits(&fresh.closest_hit(&ray)), "step {step} {ray:?}");
         }
     }
-    assert!(rebuilt < 10, "{rebuilt} rebuilds");
+    assert!(rebuilt < 60, "{rebuilt} of 120 updates were rebuilds");
     // Emptied, and filled again.
     let kept = std::mem::take(&mut s.instances);
     s.begin_revision();

@@ -3,7 +3,6 @@
 use glam::Vec3;
 
 use crate::{
-    settings::SimdLevel,
     simd::dispatch,
     twin::vpl::{Vpl, geometry_term},
 };
@@ -108,7 +107,7 @@ dispatch! {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::{simd, twin::vpl::vpl_irradiance};
+    use crate::{settings::SimdLevel, simd, twin::vpl::vpl_irradiance};
 
     #[test]
     fn every_level_gives_the_bits_of_the_plain_sum() {

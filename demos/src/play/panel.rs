@@ -1,0 +1,269 @@
+//! The panel: a switch for every stage, a view of every layer, and what a frame costs.
+
+use super::shared::{Controls, Picture, Scale};
+use crate::cli::Target;
+use crate::scenes::SCENES;
+use catoptra_render_hybrid::{
+    FrameStats, GlassShadows, Layer, Preset, RasterLane, RenderSettings, Shadows, VplOptions, VplShadows,
+};
+use egui::{ComboBox, Grid, Panel, RichText, ScrollArea, Slider, Ui};
+
+/// What the last picture told, kept while the next one is made.
+#[derive(Default)]
+pub struct Figures {
+    /// Name of what is shown.
+    pub name: String,
+    /// Steps made so far.
+    pub frame: u64,
+    /// Size of the picture.
+    pub size: (u32, u32),
+    /// The renderer's figures.
+    pub stats: FrameStats,
+    /// Steps and extraction, milliseconds.
+    pub physics_ms: f64,
+    /// Mean time between pictures over the last dozen or so, milliseconds.
+    pub interval_ms: f64,
+}
+
+impl Figures {
+    /// Takes over a new picture's figures, `interval_ms` after the one before.
+    pub fn learn(&mut self, picture: &Picture, interval_ms: f64) {
+        self.name.clone_from(&picture.name);
+        self.frame = picture.frame;
+        self.size = (picture.width, picture.height);
+        self.stats = picture.stats.clone();
+        self.physics_ms = picture.physics_ms;
+        let weight = if self.interval_ms > 0.0 { 0.1 } else { 1.0 };
+        self.interval_ms += (interval_ms - self.interval_ms) * weight;
+    }
+}
+
+/// What the user asked for beside the controls.
+#[derive(Default)]
+pub struct Wishes {
+    /// Write the picture to a file.
+    pub screenshot: bool,
+    /// Back to the picker.
+    pub picker: bool,
+}
+
+/// The five scenes to pick from.
+pub fn picker(ui: &mut Ui, controls: &mut Controls, message: &str) {
+    egui::Window::new("Catoptra")
+        .collapsible(false)
+        .resizable(false)
+        .anchor(egui::Align2::CENTER_CENTER, [0.0, 0.0])
+        .show(ui.ctx(), |ui| {
+            for (i, info) in SCENES.iter().enumerate() {
+                if ui.button(RichText::new(format!("{}  {}", i + 1, info.title)).size(18.0)).clicked() {
+                    controls.target = Some(Target::Scene(info.name));
+                }
+                ui.label(format!("{}; {} triangles", info.about, info.triangles));
+                ui.add_space(6.0);
+            }
+            if !message.is_empty() {
+                ui.separator();
+                ui.label(message);
+            }
+        });
+}
+
+/// The side panel.
+pub fn panel(ui: &mut Ui, controls: &mut Controls, figures: &Figures, message: &str) -> Wishes {
+    let mut wishes = Wishes::default();
+    Panel::left("play.panel").default_size(290.0).show(ui, |ui| {
+        ScrollArea::vertical().show(ui, |ui| {
+            scene(ui, controls, figures, &mut wishes);
+            ui.separator();
+            view(ui, controls, &mut wishes);
+            ui.separator();
+            stages(ui, controls);
+            ui.separator();
+            cost(ui, figures);
+            if !message.is_empty() {
+                ui.separator();
+                ui.label(message);
+            }
+            ui.separator();
+            ui.small("F1 panel, 1-5 scenes, L layer, space pause, . step, R restart, P screenshot, Esc quit");
+        });
+    });
+    wishes
+}
+
+fn scene(ui: &mut Ui, controls: &mut Controls, figures: &Figures, wishes: &mut Wishes) {
+    ComboBox::from_label("scene").selected_text(figures.name.as_str()).show_ui(ui, |ui| {
+        for info in &SCENES {
+            let target = Some(Target::Scene(info.name));
+            ui.selectable_value(&mut controls.target, target, info.title);
+        }
+    });
+    ui.horizontal(|ui| {
+        if ui.button(if controls.paused { "play" } else { "pause" }).clicked() {
+            controls.paused = !controls.paused;
+        }
+        if ui.add_enabled(controls.paused, egui::Button::new("step")).clicked() {
+            controls.steps += 1;
+        }
+        if ui.button("restart").clicked() {
+            controls.restarts += 1;
+        }
+        wishes.picker = ui.button("all scenes").clicked();
+    });
+    ui.label(format!("step {} = {:.2} s", figures.frame, figures.frame as f64 / 60.0));
+}
+
+fn view(ui: &mut Ui, controls: &mut Controls, wishes: &mut Wishes) {
+    ComboBox::from_label("layer").selected_text(layer_name(controls.layer)).show_ui(ui, |ui| {
+        for (layer, name) in Layer::ALL {
+            ui.selectable_value(&mut controls.layer, layer, name);
+        }
+    });
+    ui.add(Slider::new(&mut controls.exposure_ev, -8.0..=8.0).text("exposure (stops)"));
+    let mut hold = matches!(controls.scale, Scale::Hold(_));
+    if ui.checkbox(&mut hold, "size follows the frame rate").changed() {
+        controls.scale = if hold { Scale::Hold(30.0) } else { Scale::Fixed(1.0) };
+    }
+    match &mut controls.scale {
+        Scale::Hold(rate) => ui.add(Slider::new(rate, 5.0..=120.0).text("pictures/s")),
+        Scale::Fixed(share) => ui.add(Slider::new(share, 0.1..=1.0).text("share of the window")),
+    };
+    wishes.screenshot = ui.button("screenshot").clicked();
+}
+
+fn stages(ui: &mut Ui, controls: &mut Controls) {
+    ui.horizontal(|ui| {
+        ui.label("preset");
+        for (preset, name) in [(Preset::Draft, "draft"), (Preset::Interactive, "interactive"), (Preset::High, "high")] {
+            if ui.button(name).clicked() {
+                let RenderSettings { width, height, .. } = controls.settings;
+                controls.settings = RenderSettings { width, height, ..RenderSettings::preset(preset) };
+            }
+        }
+    });
+    let s = &mut controls.settings;
+    ComboBox::from_label("shadows").selected_text(format!("{:?}", s.shadows)).show_ui(ui, |ui| {
+        for mode in [Shadows::Moments, Shadows::Traced, Shadows::Off] {
+            ui.selectable_value(&mut s.shadows, mode, format!("{mode:?}"));
+        }
+    });
+    match s.shadows {
+        Shadows::Moments => {
+            ui.add(Slider::new(&mut s.moments.light_bleed_reduction, 0.0..=0.9).text("light-bleed reduction"));
+        }
+        Shadows::Traced => {
+            ui.add(Slider::new(&mut s.shadow_samples, 1..=64).text("rays a light"));
+        }
+        Shadows::Off => {}
+    }
+    let mut clear = s.glass_shadows == GlassShadows::Clear;
+    if ui.checkbox(&mut clear, "light passes through glass").changed() {
+        s.glass_shadows = if clear { GlassShadows::Clear } else { GlassShadows::Opaque };
+    }
+    indirect(ui, s, controls.initial.vpl);
+    ui.checkbox(&mut s.traced, "mirrors and glass");
+    if s.traced {
+        ui.add(Slider::new(&mut s.max_depth, 1..=32).text("depth"));
+    }
+}
+
+fn indirect(ui: &mut Ui, s: &mut RenderSettings, initial: Option<VplOptions>) {
+    let mut on = s.vpl.is_some();
+    if ui.checkbox(&mut on, "indirect light").changed() {
+        s.vpl = on.then(|| initial.unwrap_or_default());
+    }
+    let Some(v) = &mut s.vpl else { return };
+    ui.add(Slider::new(&mut v.count, 1..=4096).logarithmic(true).text("VPLs"));
+    ui.add(Slider::new(&mut v.bounces, 1..=8).text("bounces"));
+    v.bounces = v.bounces.min(v.count);
+    let mut traced = v.shadows == VplShadows::Traced;
+    if ui.checkbox(&mut traced, "shadows of VPLs (slow)").changed() {
+        v.shadows = if traced { VplShadows::Traced } else { VplShadows::Off };
+    }
+    let mut bounded = v.geometry_term_max.is_some();
+    if ui.checkbox(&mut bounded, "bounded geometry term").changed() {
+        v.geometry_term_max = if bounded { VplOptions::default().geometry_term_max } else { None };
+    }
+}
+
+fn cost(ui: &mut Ui, figures: &Figures) {
+    let s = &figures.stats;
+    let lane = match s.raster {
+        RasterLane::Gpu => "GPU",
+        _ => "CPU",
+    };
+    let rate = 1e3 / figures.interval_ms.max(0.001);
+    ui.label(RichText::new(format!("{rate:.1} pictures/s at {}x{}", figures.size.0, figures.size.1)).strong());
+    ui.label(format!("{lane}: {}", s.device));
+    let t = &s.stages_ms;
+    let stages = [
+        ("physics", figures.physics_ms),
+        ("structure", t.accel),
+        ("moments", t.moments),
+        ("photons", t.vpls),
+        ("G-buffer", t.gbuffer),
+        ("direct", t.direct),
+        ("indirect", t.indirect),
+        ("mirrors and glass", t.traced),
+        ("compose", t.compose),
+        ("transfer", t.transfer),
+        ("render", t.total),
+    ];
+    Grid::new("play.stages").num_columns(2).striped(true).show(ui, |ui| {
+        for (name, ms) in stages {
+            ui.label(name);
+            ui.monospace(format!("{ms:8.2} ms"));
+            ui.end_row();
+        }
+    });
+    let r = &s.rays;
+    let pixels = f64::from(figures.size.0) * f64::from(figures.size.1);
+    let rows = [
+        ("camera rays", r.camera),
+        ("moment rays", r.moments),
+        ("reflection rays", r.reflection),
+        ("refraction rays", r.refraction),
+        ("shadow rays", r.shadow),
+        ("photon rays", r.photon),
+        ("VPL rays", r.vpl),
+        ("VPLs", u64::from(s.vpls)),
+        ("TLAS nodes touched", u64::from(s.tlas_nodes_touched)),
+        ("BLAS builds", u64::from(s.blas_builds)),
+    ];
+    Grid::new("play.counts").num_columns(2).striped(true).show(ui, |ui| {
+        for (name, count) in rows {
+            ui.label(name);
+            ui.monospace(format!("{count:>11}"));
+            ui.end_row();
+        }
+        ui.label("masked pixels");
+        ui.monospace(format!("{:>9.1} %", 100.0 * s.masked_pixels as f64 / pixels.max(1.0)));
+        ui.end_row();
+    });
+}
+
+/// Name of a layer, as on the command line.
+pub fn layer_name(layer: Layer) -> &'static str {
+    Layer::ALL.iter().find(|(l, _)| *l == layer).map_or("final", |(_, name)| name)
+}
+
+/// The layer after `layer`, around the end.
+pub fn next_layer(layer: Layer) -> Layer {
+    let at = Layer::ALL.iter().position(|(l, _)| *l == layer).unwrap_or(0);
+    Layer::ALL[(at + 1) % Layer::ALL.len()].0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn layers_go_around() {
+        let mut layer = Layer::Final;
+        for (_, name) in Layer::ALL {
+            assert_eq!(layer_name(layer), name);
+            layer = next_layer(layer);
+        }
+        assert_eq!(layer, Layer::Final);
+    }
+}

@@ -1,0 +1,255 @@
+//! The window's surface: the newest picture over the whole window, the panel on top.
+//!
+//! The surface has a device of its own. It carries one small texture and the panel, whatever lane makes the picture, so a
+//! window works on any adapter that can show at all.
+
+use super::shared::Picture;
+use egui_wgpu::ScreenDescriptor;
+use std::sync::Arc;
+use winit::{event_loop::OwnedDisplayHandle, window::Window};
+
+/// Surface, device and what is drawn with.
+pub struct Presenter {
+    instance: wgpu::Instance,
+    window: Arc<Window>,
+    surface: wgpu::Surface<'static>,
+    config: wgpu::SurfaceConfiguration,
+    device: wgpu::Device,
+    queue: wgpu::Queue,
+    pipeline: wgpu::RenderPipeline,
+    layout: wgpu::BindGroupLayout,
+    sampler: wgpu::Sampler,
+    picture: Option<(wgpu::Texture, wgpu::BindGroup)>,
+    egui: egui_wgpu::Renderer,
+}
+
+/// The panel of one frame, tessellated.
+pub struct PanelDrawing {
+    /// Triangles.
+    pub primitives: Vec<egui::ClippedPrimitive>,
+    /// Textures that are new, changed or gone.
+    pub textures: egui::TexturesDelta,
+    /// Pixels a point.
+    pub pixels_per_point: f32,
+}
+
+impl Presenter {
+    /// Finds an adapter that can show on the window.
+    ///
+    /// # Errors
+    /// In words, where there is none.
+    pub fn new(window: Arc<Window>, display: OwnedDisplayHandle) -> Result<Self, String> {
+        let descriptor = wgpu::InstanceDescriptor::new_with_display_handle_from_env(Box::new(display));
+        let instance = wgpu::Instance::new(descriptor);
+        let surface = instance.create_surface(window.clone()).map_err(|e| format!("the window has no surface: {e}"))?;
+        let adapter = pollster::block_on(instance.request_adapter(&wgpu::RequestAdapterOptions {
+            power_preference: wgpu::PowerPreference::HighPerformance,
+            compatible_surface: Some(&surface),
+            ..Default::default()
+        }))
+        .map_err(|_| "no graphics adapter can show in a window here".to_string())?;
+        let (device, queue) = pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
+            label: Some("play.device"),
+            required_limits: wgpu::Limits::downlevel_defaults().using_resolution(adapter.limits()),
+            ..Default::default()
+        }))
+        .map_err(|e| format!("{} gives no device: {e}", adapter.get_info().name))?;
+        let size = window.inner_size();
+        let mut config = surface
+            .get_default_config(&adapter, size.width.max(1), size.height.max(1))
+            .ok_or_else(|| format!("{} cannot show in this window", adapter.get_info().name))?;
+        // Picture and panel come as sRGB bytes: the surface must not encode them once more.
+        let formats = surface.get_capabilities(&adapter).formats;
+        config.format = formats.iter().copied().find(|f| !f.is_srgb()).unwrap_or(config.format);
+        config.present_mode = wgpu::PresentMode::AutoVsync;
+        surface.configure(&device, &config);
+
+        let (layout, pipeline) = pipeline(&device, config.format);
+        let sampler = device.create_sampler(&wgpu::SamplerDescriptor {
+            label: Some("play.picture_sampler"),
+            mag_filter: wgpu::FilterMode::Linear,
+            min_filter: wgpu::FilterMode::Linear,
+            ..Default::default()
+        });
+        let egui = egui_wgpu::Renderer::new(&device, config.format, egui_wgpu::RendererOptions::default());
+        let picture = None;
+        Ok(Self { instance, window, surface, config, device, queue, pipeline, layout, sampler, picture, egui })
+    }
+
+    /// Greatest side of a texture.
+    pub fn max_texture_side(&self) -> usize {
+        self.device.limits().max_texture_dimension_2d as usize
+    }
+
+    /// The window has another size.
+    pub fn resize(&mut self, width: u32, height: u32) {
+        // A minimised window has none.
+        if width > 0 && height > 0 {
+            (self.config.width, self.config.height) = (width, height);
+            self.surface.configure(&self.device, &self.config);
+        }
+    }
+
+    /// Shows another picture from now on.
+    pub fn upload(&mut self, picture: &Picture) {
+        let size = wgpu::Extent3d { width: picture.width, height: picture.height, depth_or_array_layers: 1 };
+        if self.picture.as_ref().is_none_or(|(t, _)| t.size() != size) {
+            self.picture = Some(self.picture_texture(size));
+        }
+        let Some((texture, _)) = &self.picture else { return };
+        let layout =
+            wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(4 * size.width), rows_per_image: None };
+        self.queue.write_texture(texture.as_image_copy(), &picture.rgba8, layout, size);
+    }
+
+    fn picture_texture(&self, size: wgpu::Extent3d) -> (wgpu::Texture, wgpu::BindGroup) {
+        let texture = self.device.create_texture(&wgpu::TextureDescriptor {
+            label: Some("play.picture"),
+            size,
+            mip_level_count: 1,
+            sample_count: 1,
+            dimension: wgpu::TextureDimension::D2,
+            format: wgpu::TextureFormat::Rgba8Unorm,
+            usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
+            view_formats: &[],
+        });
+        let view = texture.create_view(&wgpu::TextureViewDescriptor::default());
+        let bind_group = self.device.create_bind_group(&wgpu::BindGroupDescriptor {
+            label: Some("play.picture"),
+            layout: &self.layout,
+            entries: &[
+                wgpu::BindGroupEntry { binding: 0, resource: wgpu::BindingResource::TextureView(&view) },
+                wgpu::BindGroupEntry { binding: 1, resource: wgpu::BindingResource::Sampler(&self.sampler) },
+            ],
+        });
+        (texture, bind_group)
+    }
+
+    /// Draws picture and panel.
+    ///
+    /// # Errors
+    /// In words, where the surface is lost for good.
+    pub fn draw(&mut self, panel: PanelDrawing) -> Result<(), String> {
+        use wgpu::CurrentSurfaceTexture as Current;
+        // Textures of the panel are told once: take them even where nothing can be shown now.
+        for (id, deltas) in &panel.textures.set {
+            for delta in deltas {
+                self.egui.update_texture(&self.device, &self.queue, *id, delta);
+            }
+        }
+        let frame = match self.surface.get_current_texture() {
+            Current::Success(frame) => Some(frame),
+            Current::Suboptimal(frame) => {
+                drop(frame);
+                self.surface.configure(&self.device, &self.config);
+                None
+            }
+            Current::Outdated => {
+                self.surface.configure(&self.device, &self.config);
+                None
+            }
+            Current::Lost => {
+                self.surface = self
+                    .instance
+                    .create_surface(self.window.clone())
+                    .map_err(|e| format!("the window's surface was lost: {e}"))?;
+                self.surface.configure(&self.device, &self.config);
+                None
+            }
+            Current::Timeout | Current::Occluded => None,
+            Current::Validation => return Err("the window's surface is not valid any more".into()),
+        };
+        if let Some(frame) = frame {
+            self.draw_into(frame, &panel);
+        }
+        for id in &panel.textures.free {
+            self.egui.free_texture(id);
+        }
+        Ok(())
+    }
+
+    fn draw_into(&mut self, frame: wgpu::SurfaceTexture, panel: &PanelDrawing) {
+        let screen = ScreenDescriptor {
+            size_in_pixels: [self.config.width, self.config.height],
+            pixels_per_point: panel.pixels_per_point,
+        };
+        let mut encoder =
+            self.device.create_command_encoder(&wgpu::CommandEncoderDescriptor { label: Some("play.frame") });
+        let mut commands =
+            self.egui.update_buffers(&self.device, &self.queue, &mut encoder, &panel.primitives, &screen);
+        let view = frame.texture.create_view(&wgpu::TextureViewDescriptor::default());
+        {
+            let pass = encoder.begin_render_pass(&wgpu::RenderPassDescriptor {
+                label: Some("play.window"),
+                color_attachments: &[Some(wgpu::RenderPassColorAttachment {
+                    view: &view,
+                    depth_slice: None,
+                    resolve_target: None,
+                    ops: wgpu::Operations {
+                        load: wgpu::LoadOp::Clear(wgpu::Color::BLACK),
+                        store: wgpu::StoreOp::Store,
+                    },
+                })],
+                ..Default::default()
+            });
+            // The panel's renderer asks for a pass that borrows nothing.
+            let mut pass = pass.forget_lifetime();
+            if let Some((_, bind_group)) = &self.picture {
+                pass.set_pipeline(&self.pipeline);
+                pass.set_bind_group(0, bind_group, &[]);
+                pass.draw(0..3, 0..1);
+            }
+            self.egui.render(&mut pass, &panel.primitives, &screen);
+        }
+        commands.push(encoder.finish());
+        self.queue.submit(commands);
+        self.window.pre_present_notify();
+        self.queue.present(frame);
+    }
+}
+
+fn pipeline(device: &wgpu::Device, format: wgpu::TextureFormat) -> (wgpu::BindGroupLayout, wgpu::RenderPipeline) {
+    let shader = device.create_shader_module(wgpu::ShaderModuleDescriptor {
+        label: Some("play.present"),
+        source: wgpu::ShaderSource::Wgsl(include_str!("present.wgsl").into()),
+    });
+    let entry =
+        |binding, ty| wgpu::BindGroupLayoutEntry { binding, visibility: wgpu::ShaderStages::FRAGMENT, ty, count: None };
+    let texture = wgpu::BindingType::Texture {
+        sample_type: wgpu::TextureSampleType::Float { filterable: true },
+        view_dimension: wgpu::TextureViewDimension::D2,
+        multisampled: false,
+    };
+    let sampler = wgpu::BindingType::Sampler(wgpu::SamplerBindingType::Filtering);
+    let layout = device.create_bind_group_layout(&wgpu::BindGroupLayoutDescriptor {
+        label: Some("play.picture"),
+        entries: &[entry(0, texture), entry(1, sampler)],
+    });
+    let pipeline_layout = device.create_pipeline_layout(&wgpu::PipelineLayoutDescriptor {
+        label: Some("play.present"),
+        bind_group_layouts: &[Some(&layout)],
+        immediate_size: 0,
+    });
+    let pipeline = device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
+        label: Some("play.present"),
+        layout: Some(&pipeline_layout),
+        vertex: wgpu::VertexState {
+            module: &shader,
+            entry_point: Some("vs_main"),
+            compilation_options: Default::default(),
+            buffers: &[],
+        },
+        primitive: wgpu::PrimitiveState::default(),
+        depth_stencil: None,
+        multisample: wgpu::MultisampleState::default(),
+        fragment: Some(wgpu::FragmentState {
+            module: &shader,
+            entry_point: Some("fs_main"),
+            compilation_options: Default::default(),
+            targets: &[Some(format.into())],
+        }),
+        multiview_mask: None,
+        cache: None,
+    });
+    (layout, pipeline)
+}

@@ -1,0 +1,67 @@
+//! Pass: the ascending list of pixels that the tracer works on.
+
+use super::{
+    device::Gpu,
+    pipeline::{Slot, compute_pipeline, group, group_layout, linear_dispatch, pipeline_layout},
+    readback::Readback,
+    shader::{self, COMPACT_BLOCK},
+    targets::PictureTargets,
+};
+use crate::error::RenderError;
+
+/// Count per block, scan, scatter.
+pub(crate) struct CompactPass {
+    pipelines: [wgpu::ComputePipeline; 3],
+    layout: wgpu::BindGroupLayout,
+}
+
+fn block_count(targets: &PictureTargets) -> u64 {
+    (u64::from(targets.width) * u64::from(targets.height)).div_ceil(u64::from(COMPACT_BLOCK))
+}
+
+impl CompactPass {
+    pub fn new(gpu: &Gpu) -> Self {
+        let layout = group_layout(
+            gpu,
+            "compact.group",
+            wgpu::ShaderStages::COMPUTE,
+            &[Slot::Texture, Slot::Storage(false), Slot::Storage(false)],
+        );
+        let pipeline_layout = pipeline_layout(gpu, "compact", None, Some(&layout));
+        let module = shader::module(&gpu.device, "compact");
+        Self {
+            pipelines: ["count", "scan", "scatter"].map(|e| compute_pipeline(gpu, &module, &pipeline_layout, e)),
+            layout,
+        }
+    }
+
+    pub fn bind(&self, gpu: &Gpu, t: &PictureTargets) -> wgpu::BindGroup {
+        group(
+            gpu,
+            "compact.group",
+            &self.layout,
+            &[
+                wgpu::BindingResource::TextureView(&t.base_color.view),
+                t.blocks.as_entire_binding(),
+                t.pixels.as_entire_binding(),
+            ],
+        )
+    }
+
+    pub fn record(&self, encoder: &mut wgpu::CommandEncoder, group: &wgpu::BindGroup, targets: &PictureTargets) {
+        let all = linear_dispatch(block_count(targets));
+        let mut pass =
+            encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("compact"), timestamp_writes: None });
+        pass.set_bind_group(1, group, &[]);
+        for (pipeline, (x, y)) in self.pipelines.iter().zip([all, (1, 1), all]) {
+            pass.set_pipeline(pipeline);
+            pass.dispatch_workgroups(x, y, 1);
+        }
+    }
+
+    /// The list of the last [`Self::record`]: its length first, then that many numbers.
+    pub fn read(&self, gpu: &Gpu, readback: &mut Readback, targets: &PictureTargets) -> Result<Vec<u32>, RenderError> {
+        let count: Vec<u32> = readback.buffer(gpu, &targets.blocks, block_count(targets) * 4, 4)?;
+        readback.buffer(gpu, &targets.pixels, 0, u64::from(count[0]) * 4)
+    }
+}

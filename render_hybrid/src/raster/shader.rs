@@ -1,0 +1,175 @@
+//! WGSL sources: imports, constants generated from Rust, dumping.
+
+use crate::twin::shadow::GAUSSIAN_7;
+
+use super::layouts;
+
+macro_rules! sources {
+    ($($name:literal),+ $(,)?) => { &[$(($name, include_str!(concat!("../shaders/", $name, ".wgsl")))),+] };
+}
+
+/// Files with entry points, by name.
+pub const PASSES: &[(&str, &str)] = sources![
+    "moments",
+    "moments_blur",
+    "visibility",
+    "gbuffer",
+    "compact",
+    "direct",
+    "indirect",
+    "traced_scatter",
+    "compose",
+    "layer",
+    "present",
+];
+
+/// Files with functions and structs only, by the name that `#import` takes.
+pub const SHARED: &[(&str, &str)] = sources![
+    "shared/scene",
+    "shared/camera",
+    "shared/triangle",
+    "shared/octahedral",
+    "shared/texture",
+    "shared/light",
+    "shared/shading",
+    "shared/shadow",
+    "shared/vpl",
+    "shared/fullscreen",
+];
+
+/// Pixels a workgroup of the compaction.
+pub const COMPACT_BLOCK: u32 = 256;
+/// VPLs in one uniform buffer: 48 KiB, within the 64 KiB that every adapter has.
+pub const VPL_CHUNK: u32 = 1024;
+/// Near plane of a light's perspective view as a fraction of its far distance.
+pub const SHADOW_NEAR_FRACTION: f32 = 1e-6;
+
+/// Constants and enumerations that Rust and WGSL share, as WGSL text.
+pub fn generated_constants() -> String {
+    let mut out = String::from("// Generated from Rust (raster/shader.rs).\n");
+    let mut u = |name: &str, value: u32| out.push_str(&format!("const {name}: u32 = {value}u;\n"));
+    u("WRAP_REPEAT", catoptra_engine::Wrap::Repeat as u32);
+    u("WRAP_CLAMP", catoptra_engine::Wrap::Clamp as u32);
+    u("WRAP_MIRROR", catoptra_engine::Wrap::Mirror as u32);
+    u("TEXTURE_NEAREST", layouts::TEXTURE_NEAREST);
+    u("TEXTURE_SRGB", layouts::TEXTURE_SRGB);
+    u("TEXTURE_UV1", layouts::TEXTURE_UV1);
+    u("NO_TEXTURE", layouts::NO_TEXTURE);
+    u("LIGHT_POINT", layouts::LIGHT_POINT);
+    u("LIGHT_SPOT", layouts::LIGHT_SPOT);
+    u("LIGHT_DIRECTIONAL", layouts::LIGHT_DIRECTIONAL);
+    u("VISIBILITY_NONE", layouts::VISIBILITY_NONE);
+    u("VISIBILITY_MOMENTS", layouts::VISIBILITY_MOMENTS);
+    u("VISIBILITY_PLANES", layouts::VISIBILITY_PLANES);
+    u("ATTRIBUTE_STRIDE", layouts::ATTRIBUTE_STRIDE);
+    u("ATTRIBUTE_NORMAL", layouts::ATTRIBUTE_NORMAL);
+    u("ATTRIBUTE_UV0", layouts::ATTRIBUTE_UV0);
+    u("ATTRIBUTE_UV1", layouts::ATTRIBUTE_UV1);
+    u("ATTRIBUTE_COLOR", layouts::ATTRIBUTE_COLOR);
+    u("COMPACT_BLOCK", COMPACT_BLOCK);
+    u("VPL_CHUNK", VPL_CHUNK);
+    for (name, kind) in layouts::PACKED_LAYERS {
+        u(name, *kind as u32);
+    }
+    let mut f = |name: &str, value: f32| out.push_str(&format!("const {name}: f32 = {value:e};\n"));
+    f("PI", std::f32::consts::PI);
+    f("MIN_POSITIVE", f32::MIN_POSITIVE);
+    // Stands for infinity, which shaders must not hold.
+    f("FAR_AWAY", f32::MAX);
+    f("SHADOW_NEAR_FRACTION", SHADOW_NEAR_FRACTION);
+    let [a, b, c, d] = GAUSSIAN_7;
+    out.push_str(&format!("const GAUSSIAN_7: array<f32, 4> = array<f32, 4>({a:e}, {b:e}, {c:e}, {d:e});\n"));
+    out
+}
+
+/// The whole text of a pass: constants, imports (each once, depth first), the file.
+///
+/// # Panics
+/// Where the pass or an import does not exist: a mistake in this crate, met by its tests.
+pub fn stitch(pass: &str) -> String {
+    let (_, source) =
+        PASSES.iter().find(|(name, _)| *name == pass).unwrap_or_else(|| panic!("there is no shader {pass}"));
+    stitch_source(pass, source)
+}
+
+/// [`stitch`] for a text that is not among the passes; `name` is its name in dumps.
+pub fn stitch_source(name: &str, source: &str) -> String {
+    let mut out = generated_constants();
+    let mut done = Vec::new();
+    append(source, &mut done, &mut out);
+    dump(name, &out);
+    out
+}
+
+fn append(source: &str, done: &mut Vec<String>, out: &mut String) {
+    for line in source.lines() {
+        let Some(import) = line.strip_prefix("#import ") else {
+            out.push_str(line);
+            out.push('\n');
+            continue;
+        };
+        let import = import.trim();
+        if done.iter().any(|d| d == import) {
+            continue;
+        }
+        done.push(import.to_string());
+        let (_, text) =
+            SHARED.iter().find(|(name, _)| *name == import).unwrap_or_else(|| panic!("there is no shader {import}"));
+        append(text, done, out);
+    }
+}
+
+/// Writes the stitched text to the folder that the environment variable CATOPTRA_WGSL_DUMP names.
+fn dump(name: &str, text: &str) {
+    let Some(folder) = std::env::var_os("CATOPTRA_WGSL_DUMP") else { return };
+    let file = std::path::Path::new(&folder).join(format!("{}.wgsl", name.replace('/', "_")));
+    if let Err(error) = std::fs::create_dir_all(&folder).and_then(|()| std::fs::write(&file, text)) {
+        tracing::warn!("cannot write {}: {error}", file.display());
+    }
+}
+
+/// Compiles a pass.
+pub(crate) fn module(device: &wgpu::Device, pass: &str) -> wgpu::ShaderModule {
+    device.create_shader_module(wgpu::ShaderModuleDescriptor {
+        label: Some(pass),
+        source: wgpu::ShaderSource::Wgsl(stitch(pass).into()),
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    pub fn validated(name: &str, text: &str) -> naga::Module {
+        let module =
+            naga::front::wgsl::parse_str(text).unwrap_or_else(|e| panic!("{name}: {}", e.emit_to_string(text)));
+        naga::valid::Validator::new(naga::valid::ValidationFlags::all(), naga::valid::Capabilities::default())
+            .validate(&module)
+            .unwrap_or_else(|e| panic!("{name}: {}", e.emit_to_string(text)));
+        module
+    }
+
+    #[test]
+    fn every_shader_validates() {
+        for (name, _) in PASSES {
+            assert!(!validated(name, &stitch(name)).entry_points.is_empty(), "{name} has no entry point");
+        }
+        for (name, source) in SHARED {
+            let module = validated(name, &stitch_source(name, source));
+            assert!(module.entry_points.is_empty() && module.global_variables.is_empty(), "{name} is not pure");
+        }
+    }
+
+    #[test]
+    fn every_file_is_listed() {
+        let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("src/shaders");
+        let count = |folder: &std::path::Path| {
+            std::fs::read_dir(folder)
+                .unwrap()
+                .filter(|f| f.as_ref().unwrap().path().extension().is_some_and(|e| e == "wgsl"))
+                .count()
+        };
+        assert_eq!(count(&folder), PASSES.len());
+        assert_eq!(count(&folder.join("shared")), SHARED.len());
+    }
+}

@@ -1,0 +1,99 @@
+//! For tests: shared WGSL functions evaluated over a table of inputs on the GPU.
+
+use super::{
+    device::{Gpu, GrowBuffer},
+    pipeline::{Slot, compute_pipeline, group, group_layout, linear_dispatch, pipeline_layout},
+    readback::Readback,
+    shader,
+};
+use crate::error::RenderError;
+
+pub use super::shader::{PASSES, SHARED, stitch};
+
+/// A device for evaluating shader functions.
+pub struct ShaderProbe {
+    gpu: Gpu,
+}
+
+impl ShaderProbe {
+    /// On the best adapter.
+    ///
+    /// # Errors
+    /// As [`super::GpuRaster::new`].
+    pub fn new() -> Result<Self, RenderError> {
+        Ok(Self { gpu: Gpu::open()? })
+    }
+
+    /// Evaluates WGSL statements once for each row of `inputs`.
+    ///
+    /// `imports` are names such as `shared/shadow`. In `body`, `x[i]` is the row's i-th input and `y[i]` its i-th output.
+    /// * `inputs`: rows of `N` numbers
+    ///
+    /// Returns rows of `M` numbers.
+    ///
+    /// # Errors
+    /// [`RenderError::Gpu`] where the text does not compile or the device fails.
+    pub fn evaluate<const N: usize, const M: usize>(
+        &self,
+        imports: &[&str],
+        body: &str,
+        inputs: &[[f32; N]],
+    ) -> Result<Vec<[f32; M]>, RenderError> {
+        let rows = inputs.len();
+        let mut source: String = imports.iter().map(|i| format!("#import {i}\n")).collect();
+        source.push_str(&format!(
+            "@group(1) @binding(0) var<storage, read> inputs: array<f32>;
+@group(1) @binding(1) var<storage, read_write> outputs: array<f32>;
+@compute @workgroup_size(64)
+fn evaluate(
+    @builtin(workgroup_id) group: vec3u,
+    @builtin(num_workgroups) groups: vec3u,
+    @builtin(local_invocation_index) lane: u32,
+) {{
+    let row = (group.y * groups.x + group.x) * 64u + lane;
+    if row >= {rows}u {{
+        return;
+    }}
+    var x: array<f32, {N}>;
+    for (var i = 0u; i < {N}u; i += 1u) {{
+        x[i] = inputs[row * {N}u + i];
+    }}
+    var y: array<f32, {M}>;
+    {body}
+    for (var i = 0u; i < {M}u; i += 1u) {{
+        outputs[row * {M}u + i] = y[i];
+    }}
+}}
+"
+        ));
+        let gpu = &self.gpu;
+        gpu.scoped(|| {
+            let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC;
+            let buffer = |label, numbers: usize| GrowBuffer::new(gpu, label, usage, numbers as u64 * 4);
+            let (from, to) = (buffer("probe.inputs", rows * N), buffer("probe.outputs", rows * M));
+            gpu.upload(&from.buffer, 0, bytemuck::cast_slice(inputs.as_flattened()));
+            let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+                label: Some("probe"),
+                source: wgpu::ShaderSource::Wgsl(shader::stitch_source("probe", &source).into()),
+            });
+            let slots = [Slot::Storage(true), Slot::Storage(false)];
+            let layout = group_layout(gpu, "probe.group", wgpu::ShaderStages::COMPUTE, &slots);
+            let pipeline_layout = pipeline_layout(gpu, "probe", None, Some(&layout));
+            let pipeline = compute_pipeline(gpu, &module, &pipeline_layout, "evaluate");
+            let resources = [from.buffer.as_entire_binding(), to.buffer.as_entire_binding()];
+            let group = group(gpu, "probe.group", &layout, &resources);
+            let mut encoder = gpu.encoder("probe");
+            {
+                let mut pass = encoder
+                    .begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("probe"), timestamp_writes: None });
+                pass.set_pipeline(&pipeline);
+                pass.set_bind_group(1, &group, &[]);
+                let (x, y) = linear_dispatch(rows.div_ceil(64) as u64);
+                pass.dispatch_workgroups(x, y, 1);
+            }
+            gpu.queue.submit([encoder.finish()]);
+            let flat: Vec<f32> = Readback::new(gpu).buffer(gpu, &to.buffer, 0, (rows * M) as u64 * 4)?;
+            Ok(flat.as_chunks::<M>().0.to_vec())
+        })
+    }
+}

@@ -1,0 +1,96 @@
+// Direct light: emitted and ambient radiance, and Blinn-Phong under shadowed lights.
+#import shared/camera
+#import shared/octahedral
+#import shared/light
+#import shared/shading
+#import shared/shadow
+#import shared/fullscreen
+
+@group(0) @binding(0) var<uniform> frame: Frame;
+@group(0) @binding(2) var<storage, read> materials: array<Material>;
+@group(0) @binding(7) var<storage, read> lights: array<Light>;
+@group(0) @binding(8) var<storage, read> views: array<ShadowView>;
+
+struct DirectUniform {
+    // VISIBILITY_NONE, VISIBILITY_MOMENTS or VISIBILITY_PLANES
+    visibility: u32,
+    min_variance: f32,
+    light_bleed_reduction: f32,
+    unused: u32,
+}
+@group(1) @binding(0) var<uniform> pass_uniform: DirectUniform;
+@group(1) @binding(1) var position: texture_2d<f32>;
+@group(1) @binding(2) var normals: texture_2d<f32>;
+@group(1) @binding(3) var base_color: texture_2d<f32>;
+@group(1) @binding(4) var emission: texture_2d<f32>;
+@group(1) @binding(5) var moment_maps: texture_2d_array<f32>;
+@group(1) @binding(6) var moment_faces: texture_2d_array<f32>;
+// One layer a light: visibility that the CPU has traced.
+@group(1) @binding(7) var visibility_planes: texture_2d_array<f32>;
+
+// Twin: ShadowMaps::visibility.
+fn moments_visibility(light: Light, point_world: vec3f) -> f32 {
+    var face = 0u;
+    if light.view_count == 6u {
+        face = cube_face(point_world - light.position_world);
+    }
+    let view = views[light.first_view + face];
+    let c = shadow_project(view, point_world);
+    if !(c.in_front && all(c.uv >= vec2f(0.0)) && all(c.uv <= vec2f(1.0))) {
+        return 1.0;
+    }
+    var moments: vec2f;
+    if light.view_count == 6u {
+        moments = sample_moments(moment_faces, light.first_layer + face, view.size, c.uv);
+    } else {
+        moments = sample_moments(moment_maps, light.first_layer, view.size, c.uv);
+    }
+    return chebyshev_upper_bound(
+        moments, c.depth, pass_uniform.min_variance, pass_uniform.light_bleed_reduction);
+}
+
+@vertex
+fn vertex(@builtin(vertex_index) vertex_index: u32) -> @builtin(position) vec4f {
+    return fullscreen_position(vertex_index);
+}
+
+@fragment
+fn fragment(@builtin(position) position_pixel: vec4f) -> @location(0) vec4f {
+    let pixel = vec2u(position_pixel.xy);
+    var radiance = textureLoad(emission, pixel, 0).xyz;
+    let place = textureLoad(position, pixel, 0);
+    if place.w < 0.5 {
+        return vec4f(radiance, 1.0);
+    }
+    let material = materials[u32(place.w) - 1u];
+    if material.unlit != 0u {
+        return vec4f(radiance, 1.0);
+    }
+    let matte = matte_weight(material);
+    let albedo = textureLoad(base_color, pixel, 0).xyz;
+    radiance += matte * material.ambient * albedo * frame.ambient;
+    let diffuse = albedo * (matte * material.diffuse / PI);
+    let n = octahedral_decode(textureLoad(normals, pixel, 0).zw);
+    let wo = direction_to_viewer(frame, place.xyz);
+    let shiny = any(material.specular > vec3f(0.0));
+    for (var i = 0u; i < frame.light_count; i += 1u) {
+        let light = lights[i];
+        let arriving = incident(light, place.xyz);
+        let cos_i = dot(n, arriving.wi);
+        if cos_i <= 0.0 || !any(arriving.irradiance > vec3f(0.0)) {
+            continue;
+        }
+        var visible = 1.0;
+        if pass_uniform.visibility == VISIBILITY_MOMENTS {
+            visible = moments_visibility(light, place.xyz);
+        } else if pass_uniform.visibility == VISIBILITY_PLANES {
+            visible = textureLoad(visibility_planes, pixel, i, 0).x;
+        }
+        var reflected = diffuse;
+        if shiny {
+            reflected += material.specular * blinn_phong_lobe(n, arriving.wi, wo, material.shininess);
+        }
+        radiance += reflected * arriving.irradiance * (cos_i * visible);
+    }
+    return vec4f(radiance, 1.0);
+}

@@ -1,0 +1,51 @@
+// Indirect light: the contribution of up to VPL_CHUNK virtual point lights, added to that of earlier chunks.
+// In a uniform buffer: on llvmpipe twice as fast as a storage buffer, and constant-cached on GPUs.
+#import shared/scene
+#import shared/octahedral
+#import shared/vpl
+#import shared/fullscreen
+
+@group(0) @binding(2) var<storage, read> materials: array<Material>;
+
+struct IndirectUniform {
+    count: u32,
+    // 0 for the first chunk, which has nothing to add to.
+    accumulate: u32,
+    geometry_term_max: f32,
+    unused: u32,
+    vpls: array<Vpl, VPL_CHUNK>,
+}
+@group(1) @binding(0) var<uniform> pass_uniform: IndirectUniform;
+@group(1) @binding(1) var position: texture_2d<f32>;
+@group(1) @binding(2) var normals: texture_2d<f32>;
+@group(1) @binding(3) var base_color: texture_2d<f32>;
+@group(1) @binding(4) var previous: texture_2d<f32>;
+
+@vertex
+fn vertex(@builtin(vertex_index) vertex_index: u32) -> @builtin(position) vec4f {
+    return fullscreen_position(vertex_index);
+}
+
+@fragment
+fn fragment(@builtin(position) position_pixel: vec4f) -> @location(0) vec4f {
+    let pixel = vec2u(position_pixel.xy);
+    let place = textureLoad(position, pixel, 0);
+    if place.w < 0.5 {
+        return vec4f(0.0, 0.0, 0.0, 1.0);
+    }
+    let material = materials[u32(place.w) - 1u];
+    let weight = matte_weight(material) * material.diffuse / PI;
+    if material.unlit != 0u || weight <= 0.0 {
+        return vec4f(0.0, 0.0, 0.0, 1.0);
+    }
+    let n = octahedral_decode(textureLoad(normals, pixel, 0).zw);
+    var sum = vec3f(0.0);
+    for (var i = 0u; i < pass_uniform.count; i += 1u) {
+        sum += vpl_irradiance(pass_uniform.vpls[i], place.xyz, n, pass_uniform.geometry_term_max);
+    }
+    var radiance = textureLoad(base_color, pixel, 0).xyz * (weight * sum);
+    if pass_uniform.accumulate != 0u {
+        radiance += textureLoad(previous, pixel, 0).xyz;
+    }
+    return vec4f(radiance, 1.0);
+}

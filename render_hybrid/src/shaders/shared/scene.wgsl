@@ -1,0 +1,105 @@
+// The scene as all passes see it. Layouts are held against raster/layouts.rs by its tests (name, offset, size).
+
+struct Frame {
+    eye_world: vec3f,
+    near: f32,
+    right_world: vec3f,
+    half_width: f32,
+    up_world: vec3f,
+    half_height: f32,
+    forward_world: vec3f,
+    // Depth of the farthest surface along `forward_world`; used by orthographic views alone.
+    far: f32,
+    background: vec3f,
+    orthographic: u32,
+    ambient: vec3f,
+    light_count: u32,
+    size: vec2u,
+    unused: vec2u,
+}
+
+struct Instance {
+    // Rows of world_from_object.
+    world_row0: vec4f,
+    world_row1: vec4f,
+    world_row2: vec4f,
+    // Rows of the cofactor matrix with the determinant's sign.
+    normal_row0: vec3f,
+    first_index: u32,
+    normal_row1: vec3f,
+    first_vertex: u32,
+    normal_row2: vec3f,
+    material: u32,
+}
+
+struct TextureRef {
+    // Rows of uv_transform.
+    uv_row0: vec3f,
+    width: u32,
+    uv_row1: vec3f,
+    height: u32,
+    // First texel in the heap, or NO_TEXTURE.
+    first_texel: u32,
+    wrap_u: u32,
+    wrap_v: u32,
+    // TEXTURE_NEAREST | TEXTURE_SRGB | TEXTURE_UV1
+    flags: u32,
+}
+
+struct Material {
+    base_color: vec3f,
+    diffuse: f32,
+    specular: vec3f,
+    shininess: f32,
+    emissive: vec3f,
+    ambient: f32,
+    mirror: f32,
+    transmission: f32,
+    unlit: u32,
+    unused: u32,
+    base_color_texture: TextureRef,
+    emissive_texture: TextureRef,
+}
+
+struct Light {
+    position_world: vec3f,
+    kind: u32,
+    direction_world: vec3f,
+    cos_inner: f32,
+    intensity: vec3f,
+    cos_outer: f32,
+    first_view: u32,
+    // 1, or 6 faces.
+    view_count: u32,
+    // Layer of the first view in its texture array.
+    first_layer: u32,
+    unused: u32,
+}
+
+fn point_world_from_object(instance: Instance, point_object: vec3f) -> vec3f {
+    let p = vec4f(point_object, 1.0);
+    return vec3f(dot(instance.world_row0, p), dot(instance.world_row1, p), dot(instance.world_row2, p));
+}
+
+// Not normalised.
+fn normal_world_from_object(instance: Instance, normal_object: vec3f) -> vec3f {
+    return vec3f(
+        dot(instance.normal_row0, normal_object),
+        dot(instance.normal_row1, normal_object),
+        dot(instance.normal_row2, normal_object),
+    );
+}
+
+// `v` at unit length, or `fallback` where it has none.
+fn normalize_or(v: vec3f, fallback: vec3f) -> vec3f {
+    let length_squared = dot(v, v);
+    if length_squared > 0.0 {
+        return v * inverseSqrt(length_squared);
+    }
+    return fallback;
+}
+
+// Share of the matte and ambient terms: (1 - mirror)(1 - transmission).
+fn matte_weight(material: Material) -> f32 {
+    return (1.0 - material.mirror) * (1.0 - material.transmission);
+}

@@ -1,0 +1,68 @@
+// Variance shadow maps. Twins: twin/shadow.rs.
+
+struct ShadowView {
+    origin_world: vec3f,
+    far: f32,
+    right_scaled: vec3f,
+    perspective: f32,
+    up_scaled: vec3f,
+    size: u32,
+    forward: vec3f,
+    light: u32,
+}
+
+struct ShadowCoord {
+    uv: vec2f,
+    depth: f32,
+    in_front: bool,
+}
+
+fn shadow_project(view: ShadowView, point_world: vec3f) -> ShadowCoord {
+    let v = point_world - view.origin_world;
+    let z = dot(view.forward, v);
+    let w = select(1.0, z, view.perspective > 0.5);
+    let in_front = w > 0.0;
+    let divisor = select(1.0, w, in_front);
+    let x = dot(view.right_scaled, v) / divisor;
+    let y = dot(view.up_scaled, v) / divisor;
+    return ShadowCoord(vec2f(0.5 + 0.5 * x, 0.5 - 0.5 * y), z / view.far, in_front);
+}
+
+// Upper bound on the fraction of light that reaches depth `t`.
+// Source: Donnelly & Lauritzen, "Variance Shadow Maps", I3D 2006.
+fn chebyshev_upper_bound(moments: vec2f, t: f32, min_variance: f32, light_bleed_reduction: f32) -> f32 {
+    if t <= moments.x {
+        return 1.0;
+    }
+    let variance = max(moments.y - moments.x * moments.x, min_variance);
+    let d = t - moments.x;
+    let p = variance / (variance + d * d);
+    return clamp((p - light_bleed_reduction) / (1.0 - light_bleed_reduction), 0.0, 1.0);
+}
+
+// Which of six faces (+X, -X, +Y, -Y, +Z, -Z) a direction falls on.
+fn cube_face(v: vec3f) -> u32 {
+    let a = abs(v);
+    if a.x >= a.y && a.x >= a.z {
+        return u32(v.x < 0.0);
+    }
+    if a.y >= a.z {
+        return 2u + u32(v.y < 0.0);
+    }
+    return 4u + u32(v.z < 0.0);
+}
+
+// Moments at `uv`, clamped at the rim. By hand: filtering of RG32F is optional in wgpu. Twin: ShadowMaps::sample.
+fn sample_moments(maps: texture_2d_array<f32>, layer: u32, size: u32, uv: vec2f) -> vec2f {
+    let p = clamp(uv * f32(size) - 0.5, vec2f(0.0), vec2f(f32(size) - 1.0));
+    let low = vec2u(p);
+    let high = min(low + 1u, vec2u(size - 1u));
+    let f = p - vec2f(low);
+    let m00 = textureLoad(maps, low, layer, 0).xy;
+    let m10 = textureLoad(maps, vec2u(high.x, low.y), layer, 0).xy;
+    let m01 = textureLoad(maps, vec2u(low.x, high.y), layer, 0).xy;
+    let m11 = textureLoad(maps, high, layer, 0).xy;
+    let a = m00 + (m10 - m00) * f.x;
+    let b = m01 + (m11 - m01) * f.x;
+    return a + (b - a) * f.y;
+}

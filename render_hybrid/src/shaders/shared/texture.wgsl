@@ -1,0 +1,52 @@
+#import shared/scene
+
+// Texel number after the wrap rule, always in 0..size. Twin: engine/src/texture.rs, wrap_texel.
+fn wrap_texel(i: i32, size: u32, wrap: u32) -> u32 {
+    let n = i32(size);
+    if wrap == WRAP_CLAMP {
+        return u32(clamp(i, 0, n - 1));
+    }
+    let period = select(n, 2 * n, wrap == WRAP_MIRROR);
+    let m = ((i % period) + period) % period;
+    return u32(select(2 * n - 1 - m, m, m < n));
+}
+
+// Keeps the count of repeats small before it becomes an integer.
+fn fold_uv(v: f32, wrap: u32) -> f32 {
+    if wrap == WRAP_CLAMP {
+        return clamp(v, -1.0, 2.0);
+    }
+    return v - 2.0 * floor(v * 0.5);
+}
+
+// The four texels of a bilinear lookup and their weights; all the same texel for nearest.
+struct Footprint {
+    // Texel numbers relative to the texture's first: (0,0), (1,0), (0,1), (1,1).
+    texels: vec4u,
+    // Weights of the right column and of the lower row.
+    fraction: vec2f,
+}
+
+// Twin: engine/src/texture.rs, Texture::sample.
+fn texture_footprint(r: TextureRef, uv: vec2f) -> Footprint {
+    let transformed = vec2f(dot(r.uv_row0, vec3f(uv, 1.0)), dot(r.uv_row1, vec3f(uv, 1.0)));
+    let usable = all(abs(transformed) <= vec2f(3e38));
+    let uv1 = select(vec2f(0.0), transformed, usable);
+    var p = vec2f(fold_uv(uv1.x, r.wrap_u) * f32(r.width), fold_uv(uv1.y, r.wrap_v) * f32(r.height));
+    let nearest = (r.flags & TEXTURE_NEAREST) != 0u;
+    if !nearest {
+        p -= vec2f(0.5);
+    }
+    let low = floor(p);
+    let x0 = wrap_texel(i32(low.x), r.width, r.wrap_u);
+    let y0 = wrap_texel(i32(low.y), r.height, r.wrap_v);
+    if nearest {
+        return Footprint(vec4u(y0 * r.width + x0), vec2f(0.0));
+    }
+    let x1 = wrap_texel(i32(low.x) + 1, r.width, r.wrap_u);
+    let y1 = wrap_texel(i32(low.y) + 1, r.height, r.wrap_v);
+    return Footprint(
+        vec4u(y0 * r.width + x0, y0 * r.width + x1, y1 * r.width + x0, y1 * r.width + x1),
+        p - low,
+    );
+}
