@@ -36,7 +36,8 @@ pub fn headlight(camera: &Camera, bounds: Aabb) -> LightSource {
     let lit = distance.max(0.25 * radius);
     let intensity = Vec3::splat(std::f32::consts::PI * lit * lit);
     let point = LightSource { kind: LightKind::Point, intensity, radius: 0.0 };
-    if !(distance > 1.01 * radius) || matches!(camera.projection, Projection::Orthographic { .. }) {
+    let outside = distance > 1.01 * radius;
+    if !outside || matches!(camera.projection, Projection::Orthographic { .. }) {
         return point;
     }
     // Angle between the view axis and the far side of the sphere.

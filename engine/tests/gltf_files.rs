@@ -157,6 +157,8 @@ fn statue_and_atrium() {
         check(&path, &scene);
         assert_eq!(scene.triangle_count(), triangles);
         assert!(scene.meshes.iter().all(|m| m.closed()), "the Venus is watertight");
+        let merged = scene.merged_mesh(&ImportLimits::default()).unwrap();
+        assert!(merged.closed() && merged.triangles().len() == triangles);
     }
     let path = folder.join("sponza/sponza_dabrovic_66454.glb");
     let scene = load(&path).unwrap();

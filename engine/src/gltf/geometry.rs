@@ -8,6 +8,7 @@ use super::{
     error::{GltfError, within},
     limits::ImportLimits,
     report::Ignored,
+    scene::cofactor,
 };
 use crate::mesh::{Mesh, MeshData};
 use glam::{Affine3, Mat3, Vec2, Vec3, Vec4};
@@ -189,7 +190,7 @@ impl<'a> Geometry<'a> {
             pose(&mut data, &kept, joints, &j, &w, place)?;
         }
         let limit = self.limits.coordinate;
-        if let Some(v) = data.positions.iter().position(|p| !(p.abs().max_element() <= limit)) {
+        if let Some(v) = data.positions.iter().position(|p| !p.is_finite() || p.abs().max_element() > limit) {
             let why =
                 format!("position of vertex {} is {:?}, the limit is {limit} m", kept[v], data.positions[v].to_array());
             return Err(GltfError::invalid(place, why));
@@ -281,11 +282,7 @@ fn pose(
         if total > 0.0 {
             data.positions[i] = sum.transform_point3(data.positions[i]);
             if let Some(n) = data.normals.get_mut(i) {
-                // The cofactor matrix carries normals, also where the blend is singular.
-                let m = sum.matrix3;
-                let cofactor =
-                    Mat3::from_cols(m.y_axis.cross(m.z_axis), m.z_axis.cross(m.x_axis), m.x_axis.cross(m.y_axis));
-                *n = cofactor * *n;
+                *n = cofactor(sum.matrix3) * *n;
             }
         }
     }

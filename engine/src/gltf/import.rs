@@ -81,7 +81,7 @@ pub fn load_gltf_bytes(bytes: &[u8], base: Option<&Path>, limits: &ImportLimits)
     }
     let poses = scene.world_from_node();
     for (node, pose) in scene.nodes.iter().zip(&poses) {
-        if !pose.is_finite() || !(pose.translation.abs().max_element() <= limits.coordinate) {
+        if !pose.is_finite() || pose.translation.abs().max_element() > limits.coordinate {
             let name = node.name.clone().unwrap_or_default();
             let why = format!("its world pose is not finite or beyond {} m", limits.coordinate);
             return Err(GltfError::invalid(format!("node {name:?}"), why));
@@ -248,7 +248,8 @@ fn finish(mut scene: ImportedScene, mut ignored: Ignored, limits: &ImportLimits)
             let mesh = &scene.meshes[p.mesh];
             let bounds: Aabb = mesh.bounds_object().transformed(pose);
             let size = bounds.min.abs().max(bounds.max.abs()).max_element();
-            if !bounds.is_empty() && !(size <= limits.coordinate) {
+            let drawn = !mesh.triangles().is_empty();
+            if drawn && (bounds.is_empty() || size > limits.coordinate) {
                 let name = node.name.clone().unwrap_or_default();
                 let why = format!("it reaches {size} m from the origin, the limit is {} m", limits.coordinate);
                 return Err(GltfError::invalid(format!("node {name:?}"), why));

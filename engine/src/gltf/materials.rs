@@ -1,7 +1,7 @@
 //! glTF materials -> Blinn-Phong, mirror, glass; the formulas are in the docs of [`crate::gltf`].
 
 use super::{
-    document::{MaterialDef, extension, own_extras},
+    document::{MaterialDef, TextureInfo, extension, own_extras},
     error::GltfError,
     report::Ignored,
     textures::Textures,
@@ -51,6 +51,28 @@ impl Default for Specular {
             specular_color_factor: [1.0; 3],
             specular_texture: None,
             specular_color_texture: None,
+        }
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(rename_all = "camelCase", default)]
+struct SpecularGlossiness {
+    diffuse_factor: [f32; 4],
+    diffuse_texture: Option<TextureInfo>,
+    specular_factor: [f32; 3],
+    glossiness_factor: f32,
+    specular_glossiness_texture: Option<Value>,
+}
+
+impl Default for SpecularGlossiness {
+    fn default() -> Self {
+        Self {
+            diffuse_factor: [1.0; 4],
+            diffuse_texture: None,
+            specular_factor: [1.0; 3],
+            glossiness_factor: 1.0,
+            specular_glossiness_texture: None,
         }
     }
 }
@@ -174,6 +196,22 @@ pub(super) fn translate(
         // Material::matte_weight takes 1 - (1-m) t off; what must remain is (1-m)(1-t).
         let matte = 1.0 - m.transmission;
         m.diffuse = if matte > 0.0 { ((1.0 - metallic) * (1.0 - transmission) / matte).clamp(0.0, 1.0) } else { 0.0 };
+    }
+    if let Some(old) = extension::<SpecularGlossiness>(ext, "KHR_materials_pbrSpecularGlossiness", place)? {
+        let [red, green, blue, _] = old.diffuse_factor;
+        m.base_color = unit3("diffuseFactor", [red, green, blue])?;
+        m.base_color_texture = match &old.diffuse_texture {
+            Some(info) => textures.color(info, place, ignored)?,
+            None => None,
+        };
+        let roughness = 1.0 - unit("glossinessFactor", old.glossiness_factor)?;
+        let specular = unit3("specularFactor", old.specular_factor)?;
+        (m.mirror, m.diffuse) = (0.0, 1.0);
+        m.shininess = shininess_from_roughness(roughness);
+        m.specular = specular * if roughness <= POLISHED { 0.0 } else { 1.0 - roughness };
+        if old.specular_glossiness_texture.is_some() {
+            ignored.note("specularGlossinessTexture");
+        }
     }
     m.unlit = ext.as_ref().is_some_and(|e| e.contains_key("KHR_materials_unlit"));
 

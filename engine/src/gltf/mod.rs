@@ -4,7 +4,7 @@
 //! [`ImportedScene::to_render_scene`] into a `RenderScene`. Read are nodes, meshes (lists, strips, fans; sparse,
 //! interleaved, normalised, quantised), morph targets and skins at the pose of the file, base-colour and emissive textures,
 //! samplers, cameras, and the extensions `KHR_lights_punctual`, `KHR_materials_{transmission, ior, volume, specular,
-//! emissive_strength, unlit}`, `KHR_mesh_quantization`, `KHR_texture_transform`. Shading is two-sided whatever
+//! emissive_strength, unlit, pbrSpecularGlossiness}`, `KHR_mesh_quantization`, `KHR_texture_transform`. Shading is two-sided whatever
 //! `doubleSided` says; thickness of volumes is ignored, the geometry is. All else is listed in [`ImportReport::ignored`],
 //! also an image that is missing or broken; an extension that a file requires and that is not supported is an error by
 //! name, unless it only changes the look of a surface (clearcoat, sheen and the like).
@@ -18,7 +18,8 @@
 //!   1 (glTF's default) looks nearly so, with albedo c;
 //! * transmission t makes smooth glass of the dielectric share (1 − m) t, whatever r is; closed meshes refract with or
 //!   without a volume;
-//! * a metallic-roughness texture counts by its mean.
+//! * a metallic-roughness texture counts by its mean;
+//! * `KHR_materials_pbrSpecularGlossiness`: c is the diffuse colour, r = 1 − glossiness, k_d = 1, k_s = specular (1 − r).
 //!
 //! **Out**: [`export_glb`] writes the posed frame so that other renderers can draw it and [`load_gltf`] gets back the same
 //! instances, materials, lights and camera.

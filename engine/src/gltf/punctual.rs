@@ -73,7 +73,7 @@ pub(super) fn light(
             let inner = spot.and_then(|s| s.inner_cone_angle).unwrap_or(0.0);
             let outer = spot.and_then(|s| s.outer_cone_angle).unwrap_or(std::f32::consts::FRAC_PI_4);
             // Exactly a half turn is allowed, and writers round it up.
-            if !(inner >= 0.0 && inner <= outer && outer <= 1.570_8) {
+            if !(inner >= 0.0 && inner <= outer && outer <= 1.000_01 * std::f32::consts::FRAC_PI_2) {
                 return Err(GltfError::invalid(place, format!("cone angles {inner} and {outer} are no cone")));
             }
             let cos_inner = own("cos_inner").unwrap_or_else(|| math::cos(inner));

@@ -1,17 +1,21 @@
 //! What an import yields: flat arrays, nodes with parents before children.
 
-use super::report::ImportReport;
+use super::{
+    error::{GltfError, within},
+    limits::ImportLimits,
+    report::ImportReport,
+};
 use crate::{
     camera::Camera,
     components::{CameraProjection, LightSource},
     extract,
     material::Material,
-    mesh::{Aabb, Mesh},
+    mesh::{Aabb, Mesh, MeshData},
     render_scene::{Environment, Instance, RenderScene},
     texture::Texture,
 };
 use bevy_transform::components::Transform;
-use glam::Affine3;
+use glam::{Affine3, Mat3, Vec2, Vec4};
 use std::sync::Arc;
 
 /// A mesh with its material, by their numbers in the [`ImportedScene`].
@@ -91,6 +95,46 @@ impl ImportedScene {
         self.instances().iter().map(|(p, _)| self.meshes[p.mesh].triangles().len()).sum()
     }
 
+    /// All instances as one mesh in world space (a statue or a building to be placed as one thing); materials are left
+    /// behind. Mirrored instances are wound back, so that closed ones stay closed. A texture coordinate set or colours that
+    /// only some meshes have are filled up with 0 and white.
+    ///
+    /// # Errors
+    /// [`GltfError::Limit`] where the sum passes the limits of vertices or triangles.
+    pub fn merged_mesh(&self, limits: &ImportLimits) -> Result<Mesh, GltfError> {
+        let instances = self.instances();
+        let sum = |count: fn(&Mesh) -> usize| instances.iter().map(|(p, _)| count(&self.meshes[p.mesh]) as u64).sum();
+        within("vertices", sum(|m| m.positions().len()), limits.vertices)?;
+        within("triangles", sum(|m| m.triangles().len()), limits.triangles)?;
+        let any = |has: fn(&Mesh) -> bool| instances.iter().any(|(p, _)| has(&self.meshes[p.mesh]));
+        let (uvs, uvs1, colors) =
+            (any(|m| !m.uvs().is_empty()), any(|m| !m.uvs1().is_empty()), any(|m| !m.colors().is_empty()));
+        let mut out = MeshData::default();
+        for (p, pose) in &instances {
+            let mesh = &self.meshes[p.mesh];
+            let first = out.positions.len() as u32;
+            let count = mesh.positions().len();
+            let mirrored = pose.matrix3.determinant() < 0.0;
+            let from_object = cofactor(pose.matrix3) * if mirrored { -1.0 } else { 1.0 };
+            out.positions.extend(mesh.positions().iter().map(|v| pose.transform_point3(*v)));
+            out.normals.extend(mesh.normals().iter().map(|n| (from_object * *n).normalize_or(*n)));
+            out.triangles.extend(mesh.triangles().iter().map(|t| {
+                let [a, b, c] = t.map(|v| first + v);
+                if mirrored { [a, c, b] } else { [a, b, c] }
+            }));
+            if uvs {
+                fill(&mut out.uvs, mesh.uvs(), count, Vec2::ZERO);
+            }
+            if uvs1 {
+                fill(&mut out.uvs1, mesh.uvs1(), count, Vec2::ZERO);
+            }
+            if colors {
+                fill(&mut out.colors, mesh.colors(), count, Vec4::ONE);
+            }
+        }
+        Mesh::new(out).map_err(|e| GltfError::invalid("merged mesh", e.to_string()))
+    }
+
     /// The scene without an ECS: stable ids count up from `first_stable_id` as [`Self::spawn`] would give them. Without a
     /// camera in the file it has the default one: see [`crate::fit`].
     pub fn to_render_scene(&self, first_stable_id: u64) -> RenderScene {
@@ -134,6 +178,16 @@ impl ImportedScene {
         let pose = self.world_from_node()[at];
         self.nodes[at].camera.as_ref().map(|c| extract::posed_camera(c, &pose))
     }
+}
+
+/// Carries normals: det(m) m⁻ᵀ, which exists also where m has no inverse.
+pub(super) fn cofactor(m: Mat3) -> Mat3 {
+    Mat3::from_cols(m.y_axis.cross(m.z_axis), m.z_axis.cross(m.x_axis), m.x_axis.cross(m.y_axis))
+}
+
+fn fill<T: Copy>(out: &mut Vec<T>, values: &[T], count: usize, default: T) {
+    out.extend_from_slice(values);
+    out.resize(out.len() + count - values.len(), default);
 }
 
 /// True where a pose keeps volumes: renderers can turn rays back into object space.
