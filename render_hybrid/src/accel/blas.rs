@@ -1,6 +1,6 @@
 //! A mesh's own tree, in object space.
 
-use super::node::{Bounds, EMPTY, LEAF, Node8, Tri8};
+use super::node::{BLOCK, Bounds, EMPTY, LEAF, LEN_SHIFT, Node8, Tri8};
 use super::wide::{CollapseCosts, WideTree, collapse, median_tree};
 use crate::BlasKind;
 use catoptra_engine::mesh::Mesh;
@@ -57,6 +57,18 @@ impl Blas {
     }
 
     fn from_tree(mesh: &Mesh, tree: WideTree) -> Self {
+        assert!(tree.leaves.len() < BLOCK as usize, "a mesh of at most 2^28 leaves");
+        let refer = |child: u32| {
+            if child == EMPTY || child & LEAF == 0 {
+                return child;
+            }
+            child | (tree.leaves[(child & !LEAF) as usize].as_slice().len() as u32 - 1) << LEN_SHIFT
+        };
+        let mut nodes = tree.nodes;
+        for node in &mut nodes {
+            node.child = node.child.map(refer);
+        }
+        let root = refer(tree.root);
         let blocks = tree
             .leaves
             .iter()
@@ -69,7 +81,7 @@ impl Blas {
             })
             .collect();
         let bounds = Bounds::from(mesh.bounds_object());
-        Self { nodes: tree.nodes, blocks, root: tree.root, bounds, extent: bounds.extent() }
+        Self { nodes, blocks, root, bounds, extent: bounds.extent() }
     }
 
     /// What is wrong with the tree, if anything: references, boxes, and that every triangle is there.
@@ -85,7 +97,10 @@ impl Blas {
                 return Err(format!("deeper than {}", super::node::MAX_DEPTH));
             }
             if child & LEAF != 0 {
-                let block = self.blocks.get((child & !LEAF) as usize).ok_or("a leaf names no block")?;
+                let block = self.blocks.get((child & BLOCK) as usize).ok_or("a leaf names no block")?;
+                if block.len() != ((child & !LEAF) >> LEN_SHIFT) as usize + 1 {
+                    return Err("a leaf's length is wrong".into());
+                }
                 for lane in 0..block.len() {
                     let prim = block.prim[lane];
                     let corners = [0, 1, 2].map(|v| glam::Vec3::from(block.corner(v, lane)));
