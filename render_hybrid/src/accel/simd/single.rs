@@ -138,7 +138,7 @@ pub(super) struct Sheared {
 
 impl Sheared {
     #[inline(always)]
-    fn of(ray: &RaySpace) -> Self {
+    pub(super) fn of(ray: &RaySpace) -> Self {
         let [kx, ky, kz] = ray.k;
         let o = ray.origin;
         Self { k: ray.k, origin_k: [o[kx], o[ky], o[kz]], shear: ray.shear, reach: ray.reach }
