@@ -96,9 +96,9 @@ pub fn extract(
     scene.lights.clear();
     scene.lights.extend(rows.iter().map(|r| r.1));
 
-    if let Some((_, _, projection, transform)) = cameras.iter().min_by_key(|c| (c.1, c.0)) {
-        scene.camera = posed_camera(projection, &affine(transform));
-    }
+    // A world without a camera looks as one that never had any.
+    let first = cameras.iter().min_by_key(|c| (c.1, c.0));
+    scene.camera = first.map_or_else(Camera::default, |(_, _, lens, transform)| posed_camera(lens, &affine(transform)));
 }
 
 fn affine(t: &GlobalTransform) -> Affine3 {

@@ -101,9 +101,7 @@ fn gpu_frame(
     let indirect = trace_vpls.then_some(traced.indirect.as_slice());
     frame.stats.stages_ms.direct = milliseconds(start);
 
-    // The GPU lights all pixels while the CPU traces the masked ones.
-    let bound = geometry_term_max(scene, settings);
-    gpu.light(&state.photons.vpls, bound, visibility, indirect)?;
+    // Read the mask before light is submitted: the GPU works in order, and a read behind it would wait for it.
     let start = Instant::now();
     let masked = gpu.read_masked_pixels()?;
     frame.stats.masked_pixels = masked.len() as u64;
@@ -112,6 +110,10 @@ fn gpu_frame(
         state.maps.maps = gpu.read_moments()?;
     }
     frame.stats.stages_ms.transfer += milliseconds(start);
+
+    // The GPU lights all pixels while the CPU traces the masked ones.
+    let bound = geometry_term_max(scene, settings);
+    gpu.light(&state.photons.vpls, bound, visibility, indirect)?;
     let start = Instant::now();
     let traced = if settings.traced {
         trace_masked(state, level, scene, settings, &masked, &mut frame.stats)
@@ -135,7 +137,7 @@ fn gpu_frame(
     for (pass, milliseconds) in gpu.take_pass_times()? {
         *match pass {
             "moments" => &mut stages.moments,
-            "gbuffer" => &mut stages.gbuffer,
+            "gbuffer" | "compact" => &mut stages.gbuffer,
             "direct" => &mut stages.direct,
             "indirect" => &mut stages.indirect,
             _ => &mut stages.compose,

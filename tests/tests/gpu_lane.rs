@@ -243,7 +243,7 @@ fn clear_glass_throws_no_shadow() {
         a.pixels.iter().zip(&b.pixels).map(|(a, b)| f64::from((a[0] - b[0]).abs())).sum::<f64>() / a.pixels.len() as f64
     };
     assert!(difference(&clear, &off) < 1e-4, "{}", difference(&clear, &off));
-    assert!(difference(&opaque, &off) > 1e-2, "{}", difference(&opaque, &off));
+    assert!(difference(&opaque, &off) > 2e-3, "{}", difference(&opaque, &off));
 }
 
 #[test]
@@ -251,7 +251,7 @@ fn masked_pixels_are_listed_in_order() {
     let Some(mut gpu) = lane("masked_pixels_are_listed_in_order") else { return };
     let mut scene = box_over_floor(LightKind::Point);
     // Sizes that do and do not fill the blocks of the compaction.
-    for (width, height) in [(64, 64), (61, 37), (1, 1), (200, 3)] {
+    for (width, height) in [(64, 64), (61, 37), (1, 1), (200, 30)] {
         let settings = RenderSettings { width, height, ..settings(Shadows::Off) };
         scene.materials = vec![Material::default(); 2];
         scene.instances[1].material = 1;
@@ -355,10 +355,11 @@ fn layers_hold_what_they_say() {
         assert_eq!(moments.width, settings(Shadows::Moments).moments.size);
         assert!(moments.pixels.iter().all(|m| m[0] > 0.0 && m[0] <= 1.0 && m[1] <= m[0] + 1e-6 && m[2] == 0.0));
     }
-    // What is nearer than the near plane is not seen.
+    // What is nearer than the near plane is not seen: only the box's bottom is left, from inside.
     scene.camera.near = 2.5;
     gpu.begin(&scene, &settings(Shadows::Off), &ShadowPlan::default()).unwrap();
-    assert_close("through the box", gpu.read_layer(Layer::Depth).unwrap().at(SIZE / 2, SIZE / 2)[0], 3.0, 1e-5);
+    let depth = gpu.read_layer(Layer::Depth).unwrap();
+    assert_close("bottom of the box", depth.at(SIZE / 2, SIZE / 2)[0], 2.7, 1e-5);
 }
 
 #[test]
@@ -462,8 +463,10 @@ fn mistakes_are_errors_not_panics() {
     assert!(matches!(gpu.light(&[], 1.0, Some(&short), None), Err(RenderError::Settings(_))));
     assert!(matches!(gpu.light(&[], 1.0, None, Some(&[[0.0; 3]])), Err(RenderError::Settings(_))));
     assert!(matches!(gpu.compose(&[(SIZE * SIZE, [1.0; 3])]), Err(RenderError::Settings(_))));
-    // A lost device: destroyed behind the lane's back. Every call after that is an error, and none a panic.
+    // A lost device: destroyed behind the lane's back. The loss shows once its queue has run dry; every call after that is
+    // an error, and none a panic.
     gpu.device().0.destroy();
+    gpu.device().0.poll(wgpu::PollType::wait_indefinitely()).unwrap();
     let results = [
         gpu.begin(&scene, &RenderSettings { width: 80, ..settings }, &ShadowPlan::default()).err(),
         gpu.read_masked_pixels().err(),
@@ -486,9 +489,46 @@ fn a_borrowed_device_serves_and_passes_are_timed() {
     render(&mut gpu, &scene, &settings(Shadows::Moments), &[Vpl { flux: Vec3::ONE, ..Vpl::default() }]);
     let times = gpu.take_pass_times().unwrap();
     let names: Vec<_> = times.iter().map(|t| t.0).collect();
-    assert_eq!(names, ["moments", "gbuffer", "direct", "indirect", "compose"]);
+    assert_eq!(names, ["moments", "gbuffer", "compact", "direct", "indirect", "compose"]);
     assert!(times.iter().all(|t| t.1 > 0.0 && t.1 < 60_000.0), "{times:?}");
     assert!(gpu.take_pass_times().unwrap().is_empty());
     let (up, down) = gpu.counters();
     assert!(up > 0 && down >= u64::from(SIZE * SIZE) * 16);
+}
+
+#[test]
+fn default_limits_suffice_and_lesser_ones_are_refused() {
+    // What every WebGPU implementation grants: the lane asks for no more, so it runs on any host's device.
+    if lane("default_limits_suffice").is_none() {
+        return;
+    }
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
+    let adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::PRIMARY));
+    let device = |required_limits| {
+        let descriptor = wgpu::DeviceDescriptor { required_limits, ..Default::default() };
+        pollster::block_on(adapters[0].request_device(&descriptor)).unwrap()
+    };
+    let (own, queue) = device(wgpu::Limits::default());
+    let mut gpu = GpuRaster::from_device(own, queue).unwrap();
+    gpu.set_timing(true);
+    let scene = box_over_floor(LightKind::Point);
+    let vpls = [Vpl { flux: Vec3::ONE, ..Vpl::default() }];
+    let borrowed = render(&mut gpu, &scene, &settings(Shadows::Moments), &vpls);
+    // No timestamps were asked for: stages are timed by waiting.
+    assert_eq!(gpu.take_pass_times().unwrap().len(), 6);
+    let mut best = lane("default_limits_suffice").unwrap();
+    assert_eq!(borrowed, render(&mut best, &scene, &settings(Shadows::Moments), &vpls));
+
+    let few = wgpu::Limits { max_storage_buffers_per_shader_stage: 4, ..wgpu::Limits::default() };
+    let (own, queue) = device(few);
+    match GpuRaster::from_device(own, queue) {
+        Err(RenderError::Unavailable { missing, .. }) => assert!(missing.contains("storage buffers"), "{missing}"),
+        other => panic!("{:?}", other.err()),
+    }
+
+    // A picture larger than the device's textures is an error, and the lane still works afterwards.
+    let wide = RenderSettings { width: 10_000, height: 4, ..settings(Shadows::Off) };
+    let error = gpu.begin(&scene, &wide, &ShadowPlan::default()).unwrap_err();
+    assert!(error.to_string().contains("10000x4"), "{error}");
+    assert_eq!(borrowed, render(&mut gpu, &scene, &settings(Shadows::Moments), &vpls));
 }

@@ -1,6 +1,6 @@
 //! A mesh's own tree, in object space.
 
-use super::node::{Bounds, EMPTY, LEAF, Node8, Tri8};
+use super::node::{BLOCK, Bounds, EMPTY, LEAF, LEN_SHIFT, Node8, Tri8};
 use super::wide::{CollapseCosts, WideTree, collapse, median_tree};
 use crate::BlasKind;
 use catoptra_engine::mesh::Mesh;
@@ -35,17 +35,45 @@ impl Blas {
         let bounds = Bounds::from(mesh.bounds_object());
         let boxes: Vec<Aabb> =
             (0..mesh.triangles().len() as u32).map(|i| Aabb::from_points(&mesh.corners(i).map(Vec3A::from))).collect();
+        let env = |n: &str, d: f32| std::env::var(n).ok().and_then(|v| v.parse().ok()).unwrap_or(d);
+        let costs = CollapseCosts { max_leaf: env("ML", 8.0) as u32, leaf: env("LC", 0.6), primitive: env("PC", 0.12) };
         let tree = if boxes.len() > 8 && bounds.extent() < MAX_BUILDER_COORDINATE {
-            let indices = (0..boxes.len() as u32).collect();
+            let t0 = std::time::Instant::now();
+            let mut boxes = boxes.clone();
+            let mut indices: Vec<u32> = (0..boxes.len() as u32).collect();
+            if env("SP", 1.0) > 0.0 {
+                let tris: Vec<obvhs::triangle::Triangle> = (0..boxes.len() as u32)
+                    .map(|i| {
+                        let [v0, v1, v2] = mesh.corners(i).map(Vec3A::from);
+                        obvhs::triangle::Triangle { v0, v1, v2 }
+                    })
+                    .collect();
+                let sum: f32 = boxes.iter().map(|b| b.half_area()).sum();
+                let largest = boxes.iter().map(|b| b.half_area()).fold(0.0, f32::max);
+                let avg = sum / boxes.len() as f32;
+                let n = boxes.len();
+                obvhs::splits::split_aabbs_precise(
+                    &mut boxes, &mut indices, &tris,
+                    avg * env("S0", 3.0),
+                    (avg * 4.0).max(avg * 0.9 + largest * 0.1),
+                    env("S1", 1.8), env("S2", 1.6), env("S3", 12.0) as u32, env("S4", 12.0) as u32);
+                let after: f32 = boxes.iter().map(|b| b.half_area()).sum();
+                if env("DBG", 0.0) > 0.0 { eprintln!("split {n} -> {} area {sum} -> {after} root {} largest {largest} {:?}", boxes.len(), bounds.half_area(), t0.elapsed()); }
+            }
+            let t1 = std::time::Instant::now();
             let mut bvh2 = PlocBuilder::with_capacity(boxes.len()).build(
-                PlocSearchDistance::Medium,
+                match env("PD", 3.0) as u32 { 0 => PlocSearchDistance::Minimum, 1 => PlocSearchDistance::VeryLow, 2 => PlocSearchDistance::Low, 3 => PlocSearchDistance::Medium, _ => PlocSearchDistance::High },
                 &boxes,
                 indices,
                 SortPrecision::U64,
-                3,
+                env("PT", 3.0) as usize,
             );
-            ReinsertionOptimizer::default().run(&mut bvh2, 0.15, None);
-            collapse(&bvh2.nodes, &bvh2.primitive_indices, COSTS)
+            let t2 = std::time::Instant::now();
+            ReinsertionOptimizer::default().run(&mut bvh2, env("RR", 0.15), None);
+            let t3 = std::time::Instant::now();
+            let r = collapse(&bvh2.nodes, &bvh2.primitive_indices, costs);
+            if env("DBG", 0.0) > 0.0 { eprintln!("split {:?} ploc {:?} reins {:?} collapse {:?} nodes {:?}", t1-t0, t2-t1, t3-t2, t3.elapsed(), r.as_ref().map(|r| (r.nodes.len(), r.leaves.len(), r.depth))); }
+            r
         } else {
             None
         };
@@ -57,6 +85,18 @@ impl Blas {
     }
 
     fn from_tree(mesh: &Mesh, tree: WideTree) -> Self {
+        assert!(tree.leaves.len() < BLOCK as usize, "a mesh of at most 2^28 leaves");
+        let refer = |child: u32| {
+            if child == EMPTY || child & LEAF == 0 {
+                return child;
+            }
+            child | (tree.leaves[(child & !LEAF) as usize].as_slice().len() as u32 - 1) << LEN_SHIFT
+        };
+        let mut nodes = tree.nodes;
+        for node in &mut nodes {
+            node.child = node.child.map(refer);
+        }
+        let root = refer(tree.root);
         let blocks = tree
             .leaves
             .iter()
@@ -69,7 +109,7 @@ impl Blas {
             })
             .collect();
         let bounds = Bounds::from(mesh.bounds_object());
-        Self { nodes: tree.nodes, blocks, root: tree.root, bounds, extent: bounds.extent() }
+        Self { nodes, blocks, root, bounds, extent: bounds.extent() }
     }
 
     /// What is wrong with the tree, if anything: references, boxes, and that every triangle is there.
@@ -85,7 +125,10 @@ impl Blas {
                 return Err(format!("deeper than {}", super::node::MAX_DEPTH));
             }
             if child & LEAF != 0 {
-                let block = self.blocks.get((child & !LEAF) as usize).ok_or("a leaf names no block")?;
+                let block = self.blocks.get((child & BLOCK) as usize).ok_or("a leaf names no block")?;
+                if block.len() != ((child & !LEAF) >> LEN_SHIFT) as usize + 1 {
+                    return Err("a leaf's length is wrong".into());
+                }
                 for lane in 0..block.len() {
                     let prim = block.prim[lane];
                     let corners = [0, 1, 2].map(|v| glam::Vec3::from(block.corner(v, lane)));

@@ -159,9 +159,7 @@ impl Gpu {
             .on_uncaptured_error(Arc::new(move |error: wgpu::Error| keep(&fault, first_line(&error.to_string()))));
         let fault = self.fault.clone();
         self.device.set_device_lost_callback(move |reason, message| {
-            if reason != wgpu::DeviceLostReason::Destroyed {
-                keep(&fault, format!("device lost: {message}"));
-            }
+            keep(&fault, format!("device lost ({reason:?}): {message}"));
         });
     }
 
@@ -227,6 +225,8 @@ impl Scope {
         let internal = self.device.push_error_scope(wgpu::ErrorFilter::Internal);
         let validation = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
         let result = work();
+        // A lost device raises no errors: its callback, which polling calls, is the only sign.
+        let polled = self.device.poll(wgpu::PollType::Poll);
         let mut errors = [
             pollster::block_on(validation.pop()),
             pollster::block_on(internal.pop()),
@@ -239,6 +239,9 @@ impl Scope {
         }
         if let Some(message) = self.fault.lock().unwrap_or_else(|e| e.into_inner()).clone() {
             return Err(RenderError::Gpu(message));
+        }
+        if let Err(error) = polled {
+            return Err(RenderError::Gpu(error.to_string()));
         }
         result
     }

@@ -238,8 +238,10 @@ impl GpuRaster {
         }
         let mut stage = timer.begin(gpu, "gbuffer");
         gbuffer.record(&mut stage.encoder, scene, &bindings.gbuffer, picture);
-        compact.record(&mut stage.encoder, &bindings.compact, picture);
         timer.end(gpu, "gbuffer", stage)?;
+        let mut stage = timer.begin(gpu, "compact");
+        compact.record(&mut stage.encoder, &bindings.compact, picture);
+        timer.end(gpu, "compact", stage)?;
         self.frame = Some(FrameState { settings: *settings, moments });
         Ok(())
     }
@@ -471,8 +473,8 @@ impl GpuRaster {
         self.timer.enabled = enabled;
     }
 
-    /// Milliseconds of `moments`, `gbuffer` (mask and compaction included), `direct`, `indirect` and `compose` since the last
-    /// call; empty where [`Self::set_timing`] is off. Waits for the GPU.
+    /// Milliseconds of `moments`, `gbuffer`, `compact`, `direct`, `indirect` and `compose` since the last call; empty where
+    /// [`Self::set_timing`] is off. Waits for the GPU.
     ///
     /// # Errors
     /// [`RenderError::Gpu`]

@@ -145,7 +145,7 @@ impl PathTracer<'_> {
             slots[used] = vpl_at(&s, flux);
             used += 1;
             let d = sampling::cosine_direction(s.n_shading, bounce_sample(path.index, bounce, self.seed));
-            ray = Ray::new(s.offset_origin(d), d);
+            ray = s.leaving_ray(d);
             if s.n_geometric.dot(d) <= 0.0 {
                 break;
             }

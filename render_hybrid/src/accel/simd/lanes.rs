@@ -30,6 +30,10 @@ pub(super) trait Lanes: Copy {
     unsafe fn eq(self, o: Self) -> u32;
     /// Lanes whose bit is set from `self`, the others from `o`.
     unsafe fn select(self, o: Self, mask: u32) -> Self;
+    /// Least of all lanes.
+    unsafe fn least(self) -> f32;
+    /// Greatest of all lanes.
+    unsafe fn greatest(self) -> f32;
 }
 
 /// Instruction-set level: its vectors.
@@ -137,6 +141,14 @@ impl<const N: usize> Lanes for Array<N> {
             }
         }
         Self(out)
+    }
+    #[inline(always)]
+    unsafe fn least(self) -> f32 {
+        self.0.iter().fold(f32::INFINITY, |m, &x| if x < m { x } else { m })
+    }
+    #[inline(always)]
+    unsafe fn greatest(self) -> f32 {
+        self.0.iter().fold(f32::NEG_INFINITY, |m, &x| if x > m { x } else { m })
     }
 }
 

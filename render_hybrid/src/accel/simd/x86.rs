@@ -71,6 +71,22 @@ macro_rules! common8 {
         unsafe fn slab(self, b: Self, c: Self) -> Self {
             body!(Self(_mm256_fmsub_ps(self.0, b.0, c.0)))
         }
+        #[inline(always)]
+        unsafe fn least(self) -> f32 {
+            body!({
+                let h = _mm_min_ps(_mm256_castps256_ps128(self.0), _mm256_extractf128_ps::<1>(self.0));
+                let h = _mm_min_ps(h, _mm_movehl_ps(h, h));
+                _mm_cvtss_f32(_mm_min_ss(h, _mm_shuffle_ps::<1>(h, h)))
+            })
+        }
+        #[inline(always)]
+        unsafe fn greatest(self) -> f32 {
+            body!({
+                let h = _mm_max_ps(_mm256_castps256_ps128(self.0), _mm256_extractf128_ps::<1>(self.0));
+                let h = _mm_max_ps(h, _mm_movehl_ps(h, h));
+                _mm_cvtss_f32(_mm_max_ss(h, _mm_shuffle_ps::<1>(h, h)))
+            })
+        }
     };
 }
 
@@ -189,6 +205,14 @@ impl Lanes for A16 {
     unsafe fn select(self, o: Self, mask: u32) -> Self {
         body!(Self(self.0.select(o.0, mask & 255), self.1.select(o.1, mask >> 8)))
     }
+    #[inline(always)]
+    unsafe fn least(self) -> f32 {
+        body!(self.0.min(self.1).least())
+    }
+    #[inline(always)]
+    unsafe fn greatest(self) -> f32 {
+        body!(self.0.max(self.1).greatest())
+    }
 }
 
 impl Lanes for Z16 {
@@ -252,6 +276,14 @@ impl Lanes for Z16 {
     #[inline(always)]
     unsafe fn select(self, o: Self, mask: u32) -> Self {
         body!(Self(_mm512_mask_blend_ps(mask as u16, o.0, self.0)))
+    }
+    #[inline(always)]
+    unsafe fn least(self) -> f32 {
+        body!(_mm512_reduce_min_ps(self.0))
+    }
+    #[inline(always)]
+    unsafe fn greatest(self) -> f32 {
+        body!(_mm512_reduce_max_ps(self.0))
     }
 }
 
