@@ -7,13 +7,16 @@ use catoptra_tests::{
     FlipLimits, HashError, HashLedger, Rendering, SnapshotError, SnapshotFolder, assert_close, assert_relative,
     known_issue,
 };
-use std::{panic::catch_unwind, path::PathBuf};
+use std::{
+    panic::catch_unwind,
+    path::{Path, PathBuf},
+};
 
 /// FLIP limits of these tests: what the lanes of the renderer are held to.
 const LIMITS: FlipLimits = FlipLimits { mean: 0.02, percentile_99: 0.2 };
 
 fn folder(name: &str) -> PathBuf {
-    let dir = std::env::temp_dir().join(format!("catoptra-harness-{}-{name}", std::process::id()));
+    let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("harness-{name}"));
     let _ = std::fs::remove_dir_all(&dir);
     std::fs::create_dir_all(&dir).unwrap();
     dir
