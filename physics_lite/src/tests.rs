@@ -104,7 +104,7 @@ fn a_million_steps_end_on_the_lattice_inside_the_room() {
         body.step();
         if was && !body.is_tipping() {
             tips += 1;
-            if tips % 97 == 0 || step > 999_000 {
+            if tips.is_multiple_of(97) || step > 999_000 {
                 let pose = body.pose();
                 let p = pose.translation;
                 for (v, off) in [(p.x, 0.0), (p.z, 0.0), (p.y, half)] {

@@ -146,7 +146,10 @@ impl Playing {
         let frame = renderer.render(self.world.scene(), &settings)?;
         let shown = frame.layer(controls.layer).unwrap_or(&frame.image);
         let srgb8 = image_io::srgb8_from_layer(controls.layer, shown, controls.exposure_ev);
-        let rgba8 = srgb8.chunks_exact(3).flat_map(|p| [p[0], p[1], p[2], 255]).collect();
+        let mut rgba8 = vec![255; srgb8.len() / 3 * 4];
+        for (to, from) in rgba8.chunks_exact_mut(4).zip(srgb8.chunks_exact(3)) {
+            to[..3].copy_from_slice(from);
+        }
         Ok(Picture {
             width: shown.width,
             height: shown.height,

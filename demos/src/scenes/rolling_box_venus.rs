@@ -34,7 +34,7 @@ pub fn build(options: &SceneOptions) -> Result<App, BuildError> {
     let half = Vec3::splat(0.25);
     let mesh = stage.mesh(shapes::cuboid(half, room::SIX_COLORS));
     let matte = stage.material(Material::lambert(Vec3::ONE));
-    let mut body = TippingBox::new(half, Vec3::new(-0.95, 0.0, 0.3), room::area([-1.7, -1.8], [1.4, 0.9]), 0);
+    let mut body = TippingBox::new(half, Vec3::new(-0.95, 0.0, -0.7), room::area([-1.7, -1.8], [1.4, 0.9]), 3);
     body.obstacles.push(room::area([PLACE.x - GROUND, PLACE.z - GROUND], [PLACE.x + GROUND, PLACE.z + GROUND]));
     body.kick = 1.15;
     stage.body(mesh, matte, body);
