@@ -278,7 +278,7 @@ fn odd_places_are_drawn() {
 #[test]
 fn the_path_tracer_takes_odd_worlds_too() {
     let options = ReferenceOptions::matching(&RenderSettings { vpl: Some(full_vpls(1, 1)), ..small(16, 12, 16) });
-    let mut add = |scene: &RenderScene| {
+    let add = |scene: &RenderScene| {
         let mut sums = ReferenceAccumulator::new(16, 12);
         cpu().add_reference(&mut sums, scene, &options, 4).map(|_| sums.image())
     };
