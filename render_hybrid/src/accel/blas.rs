@@ -53,16 +53,35 @@ impl Blas {
                 let avg = sum / boxes.len() as f32;
                 let n = boxes.len();
                 obvhs::splits::split_aabbs_precise(
-                    &mut boxes, &mut indices, &tris,
+                    &mut boxes,
+                    &mut indices,
+                    &tris,
                     avg * env("S0", 3.0),
                     (avg * 4.0).max(avg * 0.9 + largest * 0.1),
-                    env("S1", 1.8), env("S2", 1.6), env("S3", 12.0) as u32, env("S4", 12.0) as u32);
+                    env("S1", 1.8),
+                    env("S2", 1.6),
+                    env("S3", 12.0) as u32,
+                    env("S4", 12.0) as u32,
+                );
                 let after: f32 = boxes.iter().map(|b| b.half_area()).sum();
-                if env("DBG", 0.0) > 0.0 { eprintln!("split {n} -> {} area {sum} -> {after} root {} largest {largest} {:?}", boxes.len(), bounds.half_area(), t0.elapsed()); }
+                if env("DBG", 0.0) > 0.0 {
+                    eprintln!(
+                        "split {n} -> {} area {sum} -> {after} root {} largest {largest} {:?}",
+                        boxes.len(),
+                        bounds.half_area(),
+                        t0.elapsed()
+                    );
+                }
             }
             let t1 = std::time::Instant::now();
             let mut bvh2 = PlocBuilder::with_capacity(boxes.len()).build(
-                match env("PD", 3.0) as u32 { 0 => PlocSearchDistance::Minimum, 1 => PlocSearchDistance::VeryLow, 2 => PlocSearchDistance::Low, 3 => PlocSearchDistance::Medium, _ => PlocSearchDistance::High },
+                match env("PD", 3.0) as u32 {
+                    0 => PlocSearchDistance::Minimum,
+                    1 => PlocSearchDistance::VeryLow,
+                    2 => PlocSearchDistance::Low,
+                    3 => PlocSearchDistance::Medium,
+                    _ => PlocSearchDistance::High,
+                },
                 &boxes,
                 indices,
                 SortPrecision::U64,
@@ -72,7 +91,16 @@ impl Blas {
             ReinsertionOptimizer::default().run(&mut bvh2, env("RR", 0.15), None);
             let t3 = std::time::Instant::now();
             let r = collapse(&bvh2.nodes, &bvh2.primitive_indices, costs);
-            if env("DBG", 0.0) > 0.0 { eprintln!("split {:?} ploc {:?} reins {:?} collapse {:?} nodes {:?}", t1-t0, t2-t1, t3-t2, t3.elapsed(), r.as_ref().map(|r| (r.nodes.len(), r.leaves.len(), r.depth))); }
+            if env("DBG", 0.0) > 0.0 {
+                eprintln!(
+                    "split {:?} ploc {:?} reins {:?} collapse {:?} nodes {:?}",
+                    t1 - t0,
+                    t2 - t1,
+                    t3 - t2,
+                    t3.elapsed(),
+                    r.as_ref().map(|r| (r.nodes.len(), r.leaves.len(), r.depth))
+                );
+            }
             r
         } else {
             None

@@ -176,7 +176,7 @@ impl PathTracer<'_> {
             .corners(t.primitive_id)
             .map(|p| instance.world_from_object.transform_point3(p));
         let n = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize_or(Vec3::Y);
-        let side = if path.index % 2 == 0 { n } else { -n };
+        let side = if path.index.is_multiple_of(2) { n } else { -n };
         let s = surface_at(self.scene, self.normals, &Ray::new(corners[0] + side, -side), &hit);
         let flux = s.emission * (std::f32::consts::TAU * t.area / probability * share);
         vpl_at(&s, flux)

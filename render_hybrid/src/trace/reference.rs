@@ -217,7 +217,7 @@ impl Path<'_> {
             if m.unlit || diffuse_bounces > self.options.bounces {
                 return radiance;
             }
-            radiance += throughput * self.from_lights(&s, m, -ray.direction, diffuse_bounces == 0);
+            radiance += throughput * self.next_event(&s, m, -ray.direction, diffuse_bounces == 0);
             if diffuse_bounces == 0 {
                 let ambient = s.base_color * scene.environment.ambient * (m.ambient * m.matte_weight());
                 radiance += throughput * ambient;
@@ -285,7 +285,7 @@ impl Path<'_> {
 
     /// Next-event estimation: one point on the disc of every light.
     /// * `highlight`: with the specular lobe (camera paths); without it the light is Lambertian, as VPLs are
-    fn from_lights(&mut self, s: &Surface, m: &Material, wo: Vec3, highlight: bool) -> Vec3 {
+    fn next_event(&mut self, s: &Surface, m: &Material, wo: Vec3, highlight: bool) -> Vec3 {
         let lambert = Material { specular: Vec3::ZERO, ..*m };
         let m = if highlight { m } else { &lambert };
         let mut sum = Vec3::ZERO;

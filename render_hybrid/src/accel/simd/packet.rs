@@ -165,11 +165,7 @@ impl Space {
                 inv: [ZERO; 3],
                 near: [ZERO; 3],
                 far: [ZERO; 3],
-                shear: [
-                    Sixteen::of(direction[kx].mul(sz)),
-                    Sixteen::of(direction[ky].mul(sz)),
-                    Sixteen::of(sz),
-                ],
+                shear: [Sixteen::of(direction[kx].mul(sz)), Sixteen::of(direction[ky].mul(sz)), Sixteen::of(sz)],
                 reach: Sixteen::of(reach),
                 k,
                 near_plane,
@@ -543,11 +539,7 @@ unsafe fn corner16<W: Lanes>(base: *const f32, vertex: usize, k: [usize; 3], o: 
     unsafe {
         let p = base.add(24 * vertex);
         let z = W::splat(*p.add(8 * k[2])).sub(o[2]);
-        [
-            W::splat(*p.add(8 * k[0])).sub(o[0]).sub(sx.mul(z)),
-            W::splat(*p.add(8 * k[1])).sub(o[1]).sub(sy.mul(z)),
-            z,
-        ]
+        [W::splat(*p.add(8 * k[0])).sub(o[0]).sub(sx.mul(z)), W::splat(*p.add(8 * k[1])).sub(o[1]).sub(sy.mul(z)), z]
     }
 }
 
@@ -594,11 +586,8 @@ unsafe fn instance<L: Level, const CLOSEST: bool>(world: &World, slot: u32, rays
                 d[a] = row[0].mul(vd[0]).add(row[1].mul(vd[1])).add(row[2].mul(vd[2]));
             }
         }
-        let space = if mask.count_ones() > FEW {
-            Space::new::<L>(o, d, rays.t_min.load(), blas.extent, 1.0)
-        } else {
-            None
-        };
+        let space =
+            if mask.count_ones() > FEW { Space::new::<L>(o, d, rays.t_min.load(), blas.extent, 1.0) } else { None };
         if let Some(space) = space {
             let mut v = Inside::<CLOSEST> {
                 nodes: &blas.nodes,
