@@ -1,6 +1,7 @@
 //! One ray through the two levels.
 
 use super::lanes::{Lanes, Level};
+use crate::accel::blas::Blas;
 use crate::accel::node::{BLOCK, EMPTY, LEAF, Node8, STACK, Tri8};
 use crate::accel::ray_space::RaySpace;
 use crate::accel::triangle::{CONDITION, DET_MAX, DET_MIN, exact};
@@ -32,7 +33,13 @@ pub(super) trait Visitor<L: Level> {
 /// # Safety
 /// The level's features; `nodes` is a tree as `validate` wants it, at most `MAX_DEPTH` deep, that holds `root`.
 #[inline(always)]
-pub(super) unsafe fn walk<L: Level, V: Visitor<L>>(nodes: &[Node8], root: u32, ray: &RaySpace, t_min: f32, v: &mut V) -> bool {
+pub(super) unsafe fn walk<L: Level, V: Visitor<L>>(
+    nodes: &[Node8],
+    root: u32,
+    ray: &RaySpace,
+    t_min: f32,
+    v: &mut V,
+) -> bool {
     let mut stack = [MaybeUninit::<Waiting>::uninit(); STACK];
     // SAFETY: the stack holds 7 waiting children a level for MAX_DEPTH levels and one more node's; node indices and plane
     // numbers are in range by the tree's invariants; features by the caller.
@@ -127,6 +134,21 @@ pub(super) unsafe fn walk<L: Level, V: Visitor<L>>(nodes: &[Node8], root: u32, r
     }
 }
 
+/// Walks a mesh's tree of either kind. Returns true where the visitor ended it.
+///
+/// # Safety
+/// As for [`walk`].
+#[inline(always)]
+pub(super) unsafe fn tree<L: Level, V: Visitor<L>>(blas: &Blas, ray: &RaySpace, t_min: f32, v: &mut V) -> bool {
+    // SAFETY: by the caller.
+    unsafe {
+        match &blas.kd {
+            None => walk::<L, _>(&blas.nodes, blas.root, ray, t_min, v),
+            Some(tree) => super::kd::walk::<L, _>(tree, ray, t_min, v),
+        }
+    }
+}
+
 /// What the triangle test needs of a ray: the origin by (kx, ky, kz), the shear, and the scale of its error bounds.
 #[derive(Clone, Copy)]
 pub(super) struct Sheared {
@@ -155,11 +177,7 @@ unsafe fn corner8<W: Lanes>(base: *const f32, vertex: usize, k: [usize; 3], o: [
     unsafe {
         let p = base.add(24 * vertex);
         let z = W::load(p.add(8 * k[2])).sub(o[2]);
-        [
-            W::load(p.add(8 * k[0])).sub(o[0]).sub(sx.mul(z)),
-            W::load(p.add(8 * k[1])).sub(o[1]).sub(sy.mul(z)),
-            z,
-        ]
+        [W::load(p.add(8 * k[0])).sub(o[0]).sub(sx.mul(z)), W::load(p.add(8 * k[1])).sub(o[1]).sub(sy.mul(z)), z]
     }
 }
 
@@ -235,11 +253,7 @@ pub(super) fn hard_lane(block: &Tri8, lane: usize, ray: &Sheared) -> Option<(f32
     let corner = |vertex: usize| {
         let p = block.corner(vertex, lane);
         let z = p[ray.k[2]] - ray.origin_k[2];
-        [
-            (p[ray.k[0]] - ray.origin_k[0]) - ray.shear[0] * z,
-            (p[ray.k[1]] - ray.origin_k[1]) - ray.shear[1] * z,
-            z,
-        ]
+        [(p[ray.k[0]] - ray.origin_k[0]) - ray.shear[0] * z, (p[ray.k[1]] - ray.origin_k[1]) - ray.shear[1] * z, z]
     };
     exact(corner(0), corner(1), corner(2), ray.shear[2])
 }
@@ -354,8 +368,7 @@ impl<L: Level> Visitor<L> for TlasClosest<'_> {
                 instance_id: record.instance_id,
                 best: &mut self.best,
             };
-            walk::<L, _>(&blas.nodes, blas.root, &ray, self.ray.t_min, &mut v);
-            false
+            tree::<L, _>(blas, &ray, self.ray.t_min, &mut v)
         }
     }
 }
@@ -383,8 +396,9 @@ impl<L: Level> Visitor<L> for TlasAny<'_> {
             let blas = self.world.trees.get_unchecked(record.blas as usize);
             let (o, d) = record.to_object(self.ray.origin.to_array(), self.ray.direction.to_array());
             let ray = RaySpace::new(o, d, blas.extent, 1.0);
-            let mut v = BlasAny { blocks: &blas.blocks, ray: Sheared::of(&ray), t_min: self.ray.t_min, t_max: self.ray.t_max };
-            walk::<L, _>(&blas.nodes, blas.root, &ray, self.ray.t_min, &mut v)
+            let mut v =
+                BlasAny { blocks: &blas.blocks, ray: Sheared::of(&ray), t_min: self.ray.t_min, t_max: self.ray.t_max };
+            tree::<L, _>(blas, &ray, self.ray.t_min, &mut v)
         }
     }
 }
