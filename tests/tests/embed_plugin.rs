@@ -223,7 +223,7 @@ fn a_world_of_a_thousand_frames_of_edits_equals_a_fresh_one() {
         for _ in 0..10 {
             let place = Vec3::from_array(std::array::from_fn(|_| (random() % 500) as f32 / 100.0 - 2.5));
             let pick = random() as usize;
-            if alive.len() < 40 || (alive.len() < 200 && pick % 3 == 0) {
+            if alive.len() < 40 || (alive.len() < 200 && pick.is_multiple_of(3)) {
                 let id = StableId(100 + u64::from(random()) * 65_536 + u64::from(frame));
                 let pose = Transform::from_translation(place).with_scale(Vec3::splat(0.15));
                 alive.push(app.world_mut().spawn((id, MeshInstance { mesh, material }, pose)).id());
