@@ -1,5 +1,6 @@
 //! A mesh's own tree, in object space.
 
+use super::kdtree::KdTree;
 use super::node::{BLOCK, Bounds, EMPTY, LEAF, LEN_SHIFT, Node8, Tri8};
 use super::wide::{CollapseCosts, WideTree, collapse, median_tree};
 use crate::BlasKind;
@@ -14,6 +15,8 @@ pub(crate) struct Blas {
     pub nodes: Vec<Node8>,
     pub blocks: Vec<Tri8>,
     pub root: u32,
+    /// The kd-tree over the blocks instead of nodes, for `BlasKind::KdTree`.
+    pub kd: Option<KdTree>,
     pub bounds: Bounds,
     /// Greatest absolute coordinate.
     pub extent: f32,
@@ -22,86 +25,36 @@ pub(crate) struct Blas {
 /// Against one visit of a wide node: see `CollapseCosts`.
 const COSTS: CollapseCosts = CollapseCosts { max_leaf: 8, leaf: 0.6, primitive: 0.12 };
 
+/// Share of nodes that are tried elsewhere in the tree in each round.
+const REINSERTION: f32 = 0.15;
+
 /// Coordinates beyond this overflow the builder's surface areas; such meshes get the median tree.
 const MAX_BUILDER_COORDINATE: f32 = 1e15;
 
 impl Blas {
     /// The tree of nothing.
     pub fn vacant() -> Self {
-        Self { nodes: Vec::new(), blocks: Vec::new(), root: EMPTY, bounds: Bounds::EMPTY, extent: 0.0 }
+        Self { nodes: Vec::new(), blocks: Vec::new(), root: EMPTY, kd: None, bounds: Bounds::EMPTY, extent: 0.0 }
     }
 
-    pub fn build(mesh: &Mesh, _kind: BlasKind) -> Self {
+    pub fn build(mesh: &Mesh, kind: BlasKind) -> Self {
+        if kind == BlasKind::KdTree {
+            return Self::build_kd(mesh);
+        }
         let bounds = Bounds::from(mesh.bounds_object());
         let boxes: Vec<Aabb> =
             (0..mesh.triangles().len() as u32).map(|i| Aabb::from_points(&mesh.corners(i).map(Vec3A::from))).collect();
-        let env = |n: &str, d: f32| std::env::var(n).ok().and_then(|v| v.parse().ok()).unwrap_or(d);
-        let costs = CollapseCosts { max_leaf: env("ML", 8.0) as u32, leaf: env("LC", 0.6), primitive: env("PC", 0.12) };
         let tree = if boxes.len() > 8 && bounds.extent() < MAX_BUILDER_COORDINATE {
-            let t0 = std::time::Instant::now();
-            let mut boxes = boxes.clone();
-            let mut indices: Vec<u32> = (0..boxes.len() as u32).collect();
-            if env("SP", 1.0) > 0.0 {
-                let tris: Vec<obvhs::triangle::Triangle> = (0..boxes.len() as u32)
-                    .map(|i| {
-                        let [v0, v1, v2] = mesh.corners(i).map(Vec3A::from);
-                        obvhs::triangle::Triangle { v0, v1, v2 }
-                    })
-                    .collect();
-                let sum: f32 = boxes.iter().map(|b| b.half_area()).sum();
-                let largest = boxes.iter().map(|b| b.half_area()).fold(0.0, f32::max);
-                let avg = sum / boxes.len() as f32;
-                let n = boxes.len();
-                obvhs::splits::split_aabbs_precise(
-                    &mut boxes,
-                    &mut indices,
-                    &tris,
-                    avg * env("S0", 3.0),
-                    (avg * 4.0).max(avg * 0.9 + largest * 0.1),
-                    env("S1", 1.8),
-                    env("S2", 1.6),
-                    env("S3", 12.0) as u32,
-                    env("S4", 12.0) as u32,
-                );
-                let after: f32 = boxes.iter().map(|b| b.half_area()).sum();
-                if env("DBG", 0.0) > 0.0 {
-                    eprintln!(
-                        "split {n} -> {} area {sum} -> {after} root {} largest {largest} {:?}",
-                        boxes.len(),
-                        bounds.half_area(),
-                        t0.elapsed()
-                    );
-                }
-            }
-            let t1 = std::time::Instant::now();
+            let indices = (0..boxes.len() as u32).collect();
             let mut bvh2 = PlocBuilder::with_capacity(boxes.len()).build(
-                match env("PD", 3.0) as u32 {
-                    0 => PlocSearchDistance::Minimum,
-                    1 => PlocSearchDistance::VeryLow,
-                    2 => PlocSearchDistance::Low,
-                    3 => PlocSearchDistance::Medium,
-                    _ => PlocSearchDistance::High,
-                },
+                PlocSearchDistance::Medium,
                 &boxes,
                 indices,
                 SortPrecision::U64,
-                env("PT", 3.0) as usize,
+                3,
             );
-            let t2 = std::time::Instant::now();
-            ReinsertionOptimizer::default().run(&mut bvh2, env("RR", 0.15), None);
-            let t3 = std::time::Instant::now();
-            let r = collapse(&bvh2.nodes, &bvh2.primitive_indices, costs);
-            if env("DBG", 0.0) > 0.0 {
-                eprintln!(
-                    "split {:?} ploc {:?} reins {:?} collapse {:?} nodes {:?}",
-                    t1 - t0,
-                    t2 - t1,
-                    t3 - t2,
-                    t3.elapsed(),
-                    r.as_ref().map(|r| (r.nodes.len(), r.leaves.len(), r.depth))
-                );
-            }
-            r
+            ReinsertionOptimizer::default().run(&mut bvh2, REINSERTION, None);
+            collapse(&bvh2.nodes, &bvh2.primitive_indices, COSTS)
         } else {
             None
         };
@@ -110,6 +63,12 @@ impl Blas {
             collapse(&nodes, &ids, COSTS).expect("a median tree is shallow")
         });
         Self::from_tree(mesh, tree)
+    }
+
+    fn build_kd(mesh: &Mesh) -> Self {
+        let (tree, blocks) = super::kdtree::build(mesh);
+        let bounds = tree.bounds;
+        Self { nodes: Vec::new(), blocks, root: EMPTY, kd: Some(tree), bounds, extent: bounds.extent() }
     }
 
     fn from_tree(mesh: &Mesh, tree: WideTree) -> Self {
@@ -137,11 +96,14 @@ impl Blas {
             })
             .collect();
         let bounds = Bounds::from(mesh.bounds_object());
-        Self { nodes, blocks, root, bounds, extent: bounds.extent() }
+        Self { nodes, blocks, root, kd: None, bounds, extent: bounds.extent() }
     }
 
     /// What is wrong with the tree, if anything: references, boxes, and that every triangle is there.
     pub fn validate(&self, mesh: &Mesh) -> Result<(), String> {
+        if let Some(tree) = &self.kd {
+            return tree.validate(mesh, &self.blocks);
+        }
         let mut seen = vec![false; mesh.triangles().len()];
         let mut nodes_seen = 0;
         let mut todo = Vec::new();

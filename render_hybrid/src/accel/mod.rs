@@ -7,6 +7,7 @@
 
 mod blas;
 mod instance;
+mod kdtree;
 mod node;
 mod ray;
 mod ray_space;
@@ -126,8 +127,8 @@ impl Accel {
     pub fn stats(&self) -> AccelStats {
         let trees = &self.world.trees;
         AccelStats {
-            trees: trees.iter().filter(|t| t.root != node::EMPTY).count() as u32,
-            blas_nodes: trees.iter().map(|t| t.nodes.len() as u32).sum(),
+            trees: trees.iter().filter(|t| !t.blocks.is_empty()).count() as u32,
+            blas_nodes: trees.iter().map(|t| (t.nodes.len() + t.kd.as_ref().map_or(0, |k| k.nodes.len())) as u32).sum(),
             blocks: trees.iter().map(|t| t.blocks.len() as u32).sum(),
             tlas_nodes: self.world.tlas.nodes.len() as u32,
         }

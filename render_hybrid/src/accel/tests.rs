@@ -192,6 +192,28 @@ fn bits(h: &Hit) -> [u32; 5] {
     [h.t.to_bits(), h.u.to_bits(), h.v.to_bits(), h.instance_id, h.primitive_id]
 }
 
+/// The same triangle test over all triangles, one by one: trees must not change a bit.
+fn without_trees(scene: &RenderScene, ray: &Ray) -> Hit {
+    let mut best = Hit::MISS;
+    for (id, instance) in scene.instances.iter().enumerate() {
+        let Some((record, _)) = instance::InstanceRecord::new(instance, id as u32, 0, true) else { continue };
+        let mesh = &scene.meshes[instance.mesh as usize];
+        let (o, d) = record.to_object(ray.origin.to_array(), ray.direction.to_array());
+        let space = ray_space::RaySpace::new(o, d, node::Bounds::from(mesh.bounds_object()).extent(), 1.0);
+        for prim in 0..mesh.triangles().len() as u32 {
+            let corners = mesh.corners(prim).map(|p| p.to_array());
+            if let Some((t, u, v)) = triangle::intersect(&space, corners)
+                && ray.t_min < t
+                && t < ray.t_max
+                && t < best.t
+            {
+                best = Hit { t, u, v, instance_id: id as u32, primitive_id: prim };
+            }
+        }
+    }
+    best
+}
+
 /// All structures agree bit for bit, single, together and in occlusion, and with the oracle.
 fn agree(scene: &RenderScene, rays: &[Ray], oracle: bool) {
     let all = structures(scene);
@@ -207,6 +229,9 @@ fn agree(scene: &RenderScene, rays: &[Ray], oracle: bool) {
             assert_eq!(accel.occluded(ray), reference[i].is_hit(), "{name}: ray {i} {ray:?} occluded");
             assert_eq!(occluded[i], reference[i].is_hit(), "{name}: ray {i} {ray:?} occluded in a batch");
         }
+    }
+    for (ray, hit) in rays.iter().zip(&reference).step_by(5) {
+        assert_eq!(bits(hit), bits(&without_trees(scene, ray)), "{ray:?} without trees");
     }
     if oracle {
         for (ray, hit) in rays.iter().zip(&reference) {

@@ -8,8 +8,6 @@
 /// # Safety
 /// Every method of a type requires the processor features of its level; `load` and `store` require `N` valid f32.
 pub(super) trait Lanes: Copy {
-    const N: usize;
-    const ALL: u32 = (1u64 << Self::N).wrapping_sub(1) as u32;
     unsafe fn splat(x: f32) -> Self;
     unsafe fn load(p: *const f32) -> Self;
     unsafe fn store(self, p: *mut f32);
@@ -72,7 +70,6 @@ macro_rules! bits {
 }
 
 impl<const N: usize> Lanes for Array<N> {
-    const N: usize = N;
     #[inline(always)]
     unsafe fn splat(x: f32) -> Self {
         Self([x; N])

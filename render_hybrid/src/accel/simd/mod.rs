@@ -1,6 +1,7 @@
 //! The kernels: every level's code behind safe functions. This module alone holds unsafe code; the rest of `accel` is safe.
 #![allow(unsafe_code)]
 
+mod kd;
 mod lanes;
 mod packet;
 mod single;

@@ -586,8 +586,11 @@ unsafe fn instance<L: Level, const CLOSEST: bool>(world: &World, slot: u32, rays
                 d[a] = row[0].mul(vd[0]).add(row[1].mul(vd[1])).add(row[2].mul(vd[2]));
             }
         }
-        let space =
-            if mask.count_ones() > FEW { Space::new::<L>(o, d, rays.t_min.load(), blas.extent, 1.0) } else { None };
+        let space = if mask.count_ones() > FEW && blas.kd.is_none() {
+            Space::new::<L>(o, d, rays.t_min.load(), blas.extent, 1.0)
+        } else {
+            None
+        };
         if let Some(space) = space {
             let mut v = Inside::<CLOSEST> {
                 nodes: &blas.nodes,
@@ -606,16 +609,21 @@ unsafe fn instance<L: Level, const CLOSEST: bool>(world: &World, slot: u32, rays
             let at = |v: &[Sixteen; 3]| [v[0].0[lane], v[1].0[lane], v[2].0[lane]];
             let ray = RaySpace::new(at(&o), at(&d), blas.extent, 1.0);
             let (t_min, t_max) = (rays.t_min.0[lane], rays.t_max.0[lane]);
+            let shear = Sheared::of(&ray);
             if CLOSEST {
                 let mut best = rays.hit(lane);
-                let id = record.instance_id;
-                alone_closest::<L>(&blas.nodes, &blas.blocks, blas.root, &ray, t_min, t_max, id, &mut best);
+                let instance_id = record.instance_id;
+                let mut v =
+                    BlasClosest { blocks: &blas.blocks, ray: shear, t_min, t_max, instance_id, best: &mut best };
+                single::tree::<L, _>(blas, &ray, t_min, &mut v);
                 rays.put(lane, &best);
-            } else {
-                let mut v = BlasAny { blocks: &blas.blocks, ray: Sheared::of(&ray), t_min, t_max };
-                if single::walk::<L, _>(&blas.nodes, blas.root, &ray, t_min, &mut v) {
-                    rays.done(lane);
-                }
+            } else if single::tree::<L, _>(
+                blas,
+                &ray,
+                t_min,
+                &mut BlasAny { blocks: &blas.blocks, ray: shear, t_min, t_max },
+            ) {
+                rays.done(lane);
             }
         }
         rays.settle::<L>();

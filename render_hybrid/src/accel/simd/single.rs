@@ -1,6 +1,7 @@
 //! One ray through the two levels.
 
 use super::lanes::{Lanes, Level};
+use crate::accel::blas::Blas;
 use crate::accel::node::{BLOCK, EMPTY, LEAF, Node8, STACK, Tri8};
 use crate::accel::ray_space::RaySpace;
 use crate::accel::triangle::{CONDITION, DET_MAX, DET_MIN, exact};
@@ -129,6 +130,21 @@ pub(super) unsafe fn walk<L: Level, V: Visitor<L>>(
                     break;
                 }
             }
+        }
+    }
+}
+
+/// Walks a mesh's tree of either kind. Returns true where the visitor ended it.
+///
+/// # Safety
+/// As for [`walk`].
+#[inline(always)]
+pub(super) unsafe fn tree<L: Level, V: Visitor<L>>(blas: &Blas, ray: &RaySpace, t_min: f32, v: &mut V) -> bool {
+    // SAFETY: by the caller.
+    unsafe {
+        match &blas.kd {
+            None => walk::<L, _>(&blas.nodes, blas.root, ray, t_min, v),
+            Some(tree) => super::kd::walk::<L, _>(tree, ray, t_min, v),
         }
     }
 }
@@ -352,8 +368,7 @@ impl<L: Level> Visitor<L> for TlasClosest<'_> {
                 instance_id: record.instance_id,
                 best: &mut self.best,
             };
-            walk::<L, _>(&blas.nodes, blas.root, &ray, self.ray.t_min, &mut v);
-            false
+            tree::<L, _>(blas, &ray, self.ray.t_min, &mut v)
         }
     }
 }
@@ -383,7 +398,7 @@ impl<L: Level> Visitor<L> for TlasAny<'_> {
             let ray = RaySpace::new(o, d, blas.extent, 1.0);
             let mut v =
                 BlasAny { blocks: &blas.blocks, ray: Sheared::of(&ray), t_min: self.ray.t_min, t_max: self.ray.t_max };
-            walk::<L, _>(&blas.nodes, blas.root, &ray, self.ray.t_min, &mut v)
+            tree::<L, _>(blas, &ray, self.ray.t_min, &mut v)
         }
     }
 }

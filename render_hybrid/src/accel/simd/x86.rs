@@ -26,7 +26,6 @@ macro_rules! body {
 
 macro_rules! common8 {
     () => {
-        const N: usize = 8;
         #[inline(always)]
         unsafe fn splat(x: f32) -> Self {
             body!(Self(_mm256_set1_ps(x)))
@@ -141,7 +140,6 @@ macro_rules! both {
 }
 
 impl Lanes for A16 {
-    const N: usize = 16;
     #[inline(always)]
     unsafe fn splat(x: f32) -> Self {
         body!(Self(A8::splat(x), A8::splat(x)))
@@ -216,7 +214,6 @@ impl Lanes for A16 {
 }
 
 impl Lanes for Z16 {
-    const N: usize = 16;
     #[inline(always)]
     unsafe fn splat(x: f32) -> Self {
         body!(Self(_mm512_set1_ps(x)))
