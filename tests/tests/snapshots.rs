@@ -121,3 +121,17 @@ fn gpu_lane_lies_near_the_goldens() {
     }
     assert!(failures.is_empty(), "{}", failures.join("\n"));
 }
+
+/// The mutation that each limit must fail: another frame of the same scene.
+#[test]
+fn another_frame_is_beyond_every_limit() {
+    let render = |frame| cpu().render(&scene_at("rolling-box-donut", frame), &settings()).unwrap();
+    let (here, there) = (render(FRAME), render(90));
+    for (layer, name) in Layer::ALL {
+        let [a, b] = [&here, &there].map(|f| Rendering::of_layer(layer, f.layer(layer).expect("a kept layer")));
+        let (flip, limits) = (a.flip(&b).expect("equal sizes"), lane_limits(layer));
+        let within = flip.mean() <= limits.mean && flip.percentile(0.99) <= limits.percentile_99;
+        println!("{name}: FLIP mean {:.4}, 99th percentile {:.4}", flip.mean(), flip.percentile(0.99));
+        assert!(!within, "{name}: frame 90 would pass for frame {FRAME}");
+    }
+}
