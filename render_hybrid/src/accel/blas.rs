@@ -23,10 +23,10 @@ pub(crate) struct Blas {
 }
 
 /// Against one visit of a wide node: see `CollapseCosts`.
-const COSTS: CollapseCosts = CollapseCosts { max_leaf: 8, leaf: 0.6, primitive: 0.12 };
+const COSTS: CollapseCosts = CollapseCosts { max_leaf: 8, leaf: 0.5, primitive: 0.05 };
 
 /// Share of nodes that are tried elsewhere in the tree in each round.
-const REINSERTION: f32 = 0.15;
+const REINSERTION: f32 = 0.1;
 
 /// Coordinates beyond this overflow the builder's surface areas; such meshes get the median tree.
 const MAX_BUILDER_COORDINATE: f32 = 1e15;
