@@ -23,10 +23,10 @@ pub(crate) struct Blas {
 }
 
 /// Against one visit of a wide node: see `CollapseCosts`.
-const COSTS: CollapseCosts = CollapseCosts { max_leaf: 8, leaf: 0.6, primitive: 0.12 };
+const COSTS: CollapseCosts = CollapseCosts { max_leaf: 8, leaf: 0.5, primitive: 0.05 };
 
 /// Share of nodes that are tried elsewhere in the tree in each round.
-const REINSERTION: f32 = 0.15;
+const REINSERTION: f32 = 0.1;
 
 /// Coordinates beyond this overflow the builder's surface areas; such meshes get the median tree.
 const MAX_BUILDER_COORDINATE: f32 = 1e15;
@@ -63,6 +63,41 @@ impl Blas {
             collapse(&nodes, &ids, COSTS).expect("a median tree is shallow")
         });
         Self::from_tree(mesh, tree)
+    }
+
+    /// Follows moved vertices: blocks and boxes are rewritten, the tree keeps its shape. False for a kd-tree, whose planes
+    /// cannot follow. `mesh` has the triangles that the tree was built for.
+    pub fn refit(&mut self, mesh: &Mesh) -> bool {
+        if self.kd.is_some() {
+            return false;
+        }
+        self.bounds = Bounds::from(mesh.bounds_object());
+        self.extent = self.bounds.extent();
+        let mut boxes = Vec::with_capacity(self.blocks.len());
+        for block in &mut self.blocks {
+            let mut b = Bounds::EMPTY;
+            for lane in 0..block.len() {
+                let prim = block.prim[lane];
+                let corners = mesh.corners(prim);
+                block.set(lane, corners, prim);
+                for p in corners {
+                    b = b.union(Bounds { min: p.to_array(), max: p.to_array() });
+                }
+            }
+            boxes.push(b);
+        }
+        // Children come after their parents.
+        for n in (0..self.nodes.len()).rev() {
+            for slot in 0..8 {
+                let child = self.nodes[n].child[slot];
+                if child != EMPTY {
+                    let inner = child & LEAF == 0;
+                    let b = if inner { self.nodes[child as usize].bounds() } else { boxes[(child & BLOCK) as usize] };
+                    self.nodes[n].set_box(slot, &b);
+                }
+            }
+        }
+        true
     }
 
     fn build_kd(mesh: &Mesh) -> Self {

@@ -22,7 +22,9 @@ mod world;
 pub use ray::{Hit, Ray};
 
 use crate::{BlasKind, RenderError, SimdLevel};
+use catoptra_engine::mesh::Mesh;
 use catoptra_engine::render_scene::RenderScene;
+use std::sync::Arc;
 
 /// How an [`Accel`] is made. Nothing here changes a hit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -80,6 +82,14 @@ impl Accel {
     /// (held here, so that it stays unique), instances by `stable_id`.
     pub fn update(&mut self, scene: &RenderScene) -> UpdateStats {
         self.world.update(scene)
+    }
+
+    /// Lets the tree of a mesh follow moved vertices without a build: `new` has the same triangles as `old`. Hits are those of
+    /// a fresh build; only speed suffers where the shape has changed much. Give scenes that name `new` from then on.
+    ///
+    /// Returns false, and changes nothing, where `old` has no tree here, the triangles differ, or the tree is a kd-tree.
+    pub fn refit_mesh(&mut self, old: &Arc<Mesh>, new: &Arc<Mesh>) -> bool {
+        self.world.refit_mesh(old, new)
     }
 
     /// First thing that the ray meets at `t_min < t < t_max`, or [`Hit::MISS`]. A ray with a non-finite origin or direction,

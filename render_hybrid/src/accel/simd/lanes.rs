@@ -38,6 +38,9 @@ pub(super) trait Lanes: Copy {
 pub(super) trait Level {
     type W8: Lanes;
     type W16: Lanes;
+    /// Asks for a cache line that will be read soon.
+    #[inline(always)]
+    fn prefetch(_: *const u8) {}
 }
 
 /// Arrays, which the compiler turns into whatever vectors the target guarantees.

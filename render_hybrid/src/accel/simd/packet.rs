@@ -24,6 +24,8 @@ pub(super) const RAYS: usize = 16;
 const FEW: u32 = 2;
 /// Greatest ratio of reciprocal directions within a packet that is tested as one at inner nodes.
 const TIGHT: f32 = 1.2;
+/// An axis whose reciprocals all exceed the main axis's so many times may vary freely: its planes are crossed late or never.
+const STEEP: f32 = 16.0;
 
 #[derive(Clone, Copy)]
 #[repr(C, align(64))]
@@ -188,8 +190,7 @@ impl Space {
                 let (n, f) = if negative { (n.least(), f.greatest()) } else { (n.greatest(), f.least()) };
                 space.bounds[a] = [low, high, n * low, n * high, f * low, f * high];
                 let (small, large) = if negative { (-high, -low) } else { (low, high) };
-                // Steep axes may vary freely: their planes are crossed late or never.
-                space.tight &= large <= small * TIGHT || small > 16.0 * sz.greatest().abs();
+                space.tight &= large <= small * TIGHT || small > STEEP * sz.greatest().abs();
             }
             Some(space)
         }

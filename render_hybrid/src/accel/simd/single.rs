@@ -21,6 +21,8 @@ pub(super) trait Visitor<L: Level> {
     const ORDERED: bool;
     /// Nodes beyond it are left out.
     fn limit(&self) -> f32;
+    /// A leaf will be visited soon.
+    fn soon(&self, leaf: u32);
     /// Returns true to end the traversal.
     ///
     /// # Safety
@@ -77,6 +79,17 @@ pub(super) unsafe fn walk<L: Level, V: Visitor<L>>(
                 let first = mask.trailing_zeros() as usize;
                 mask &= mask - 1;
                 let child = |i: usize| *node.child.as_ptr().add(i);
+                let soon = |v: &V, c: u32| {
+                    if c & LEAF != 0 {
+                        v.soon(c & !LEAF);
+                    } else {
+                        let p = nodes.add(c as usize).cast::<u8>();
+                        L::prefetch(p);
+                        L::prefetch(p.add(64));
+                        L::prefetch(p.add(128));
+                        L::prefetch(p.add(192));
+                    }
+                };
                 if mask == 0 {
                     current = child(first);
                     continue 'node;
@@ -91,6 +104,8 @@ pub(super) unsafe fn walk<L: Level, V: Visitor<L>>(
                 if b.t < a.t {
                     std::mem::swap(&mut a, &mut b);
                 }
+                soon(v, a.child);
+                soon(v, b.child);
                 if mask == 0 {
                     *stack.add(top) = b;
                     top += 1;
@@ -105,6 +120,7 @@ pub(super) unsafe fn walk<L: Level, V: Visitor<L>>(
                 while mask != 0 {
                     let c = at(mask.trailing_zeros() as usize);
                     mask &= mask - 1;
+                    soon(v, c.child);
                     let mut i = top;
                     if V::ORDERED {
                         while i > base && (*stack.add(i - 1)).t < c.t {
@@ -258,6 +274,15 @@ pub(super) fn hard_lane(block: &Tri8, lane: usize, ray: &Sheared) -> Option<(f32
     exact(corner(0), corner(1), corner(2), ray.shear[2])
 }
 
+/// Asks for the lines of a block.
+#[inline(always)]
+fn prefetch_block<L: Level>(blocks: &[Tri8], leaf: u32) {
+    let p = blocks.as_ptr().wrapping_add((leaf & BLOCK) as usize).cast::<u8>();
+    for line in 0..5 {
+        L::prefetch(p.wrapping_add(64 * line));
+    }
+}
+
 /// Closest hit in one instance.
 pub(super) struct BlasClosest<'a> {
     pub blocks: &'a [Tri8],
@@ -273,6 +298,10 @@ impl<L: Level> Visitor<L> for BlasClosest<'_> {
     #[inline(always)]
     fn limit(&self) -> f32 {
         self.best.t
+    }
+    #[inline(always)]
+    fn soon(&self, leaf: u32) {
+        prefetch_block::<L>(self.blocks, leaf);
     }
     #[inline(always)]
     unsafe fn leaf(&mut self, leaf: u32) -> bool {
@@ -322,6 +351,10 @@ impl<L: Level> Visitor<L> for BlasAny<'_> {
         self.t_max
     }
     #[inline(always)]
+    fn soon(&self, leaf: u32) {
+        prefetch_block::<L>(self.blocks, leaf);
+    }
+    #[inline(always)]
     unsafe fn leaf(&mut self, leaf: u32) -> bool {
         // SAFETY: as for the closest hit.
         unsafe {
@@ -352,6 +385,8 @@ impl<L: Level> Visitor<L> for TlasClosest<'_> {
     fn limit(&self) -> f32 {
         self.best.t
     }
+    #[inline(always)]
+    fn soon(&self, _: u32) {}
     #[inline(always)]
     unsafe fn leaf(&mut self, leaf: u32) -> bool {
         // SAFETY: leaf references are instance slots and their trees exist by the structure's invariants.
@@ -385,6 +420,8 @@ impl<L: Level> Visitor<L> for TlasAny<'_> {
     fn limit(&self) -> f32 {
         self.ray.t_max
     }
+    #[inline(always)]
+    fn soon(&self, _: u32) {}
     #[inline(always)]
     unsafe fn leaf(&mut self, leaf: u32) -> bool {
         // SAFETY: as for the closest hit.

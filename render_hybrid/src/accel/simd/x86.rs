@@ -289,6 +289,11 @@ pub(super) struct Avx2;
 impl Level for Avx2 {
     type W8 = A8;
     type W16 = A16;
+    #[inline(always)]
+    fn prefetch(p: *const u8) {
+        // SAFETY: a prefetch reads nothing, whatever the address; SSE is part of x86-64.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
+    }
 }
 
 /// AVX-512 F and VL on top.
@@ -296,4 +301,9 @@ pub(super) struct Avx512;
 impl Level for Avx512 {
     type W8 = Z8;
     type W16 = Z16;
+    #[inline(always)]
+    fn prefetch(p: *const u8) {
+        // SAFETY: a prefetch reads nothing, whatever the address; SSE is part of x86-64.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
+    }
 }
