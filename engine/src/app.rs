@@ -17,6 +17,7 @@ impl Plugin for EnginePlugin {
             .init_resource::<Assets>()
             .init_resource::<extract::SceneEnvironment>()
             .init_resource::<extract::Extracted>()
+            .init_resource::<extract::ExtractedCameras>()
             .init_resource::<extract::ExtractIndex>()
             .add_systems(Last, extract::extract);
     }

@@ -24,7 +24,7 @@ pub struct MeshInstance {
     pub material: MaterialId,
 }
 
-/// Leaves an instance or a light out of the picture.
+/// Leaves an instance, a light or a camera out, and all that hangs on it.
 #[derive(Component, Clone, Copy, Debug, Default)]
 pub struct Hidden;
 
@@ -40,7 +40,7 @@ pub struct LightSource {
     pub radius: f32,
 }
 
-/// A camera that looks along the entity's -Z. The camera with the lowest [`StableId`] makes the picture.
+/// A camera that looks along the entity's -Z. Of several, the one with the lowest [`StableId`] is the scene's own.
 #[derive(Component, Clone, Copy, Debug, PartialEq)]
 #[require(Transform)]
 pub struct CameraProjection {

@@ -10,13 +10,28 @@ use crate::{
     light::Light,
     render_scene::{Environment, Instance, RenderScene},
 };
-use bevy_ecs::{entity::EntityHashMap, prelude::*};
+use bevy_ecs::{entity::EntityHashMap, hierarchy::ChildOf, prelude::*};
 use bevy_transform::components::GlobalTransform;
 use glam::{Affine3, Mat3, Vec3};
 
 /// The scene of the last `App::update`.
 #[derive(Resource, Clone, Debug, Default)]
 pub struct Extracted(pub RenderScene);
+
+/// A camera of the world, posed.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct ExtractedCamera {
+    /// Whose it is.
+    pub entity: Entity,
+    /// Orders cameras; equal ids are ordered by entity.
+    pub stable_id: u64,
+    /// Lens and pose.
+    pub camera: Camera,
+}
+
+/// All cameras that are not [`Hidden`], by ascending [`StableId`]; the first is the one in [`Extracted`].
+#[derive(Resource, Clone, Debug, Default, PartialEq)]
+pub struct ExtractedCameras(pub Vec<ExtractedCamera>);
 
 /// Background and ambient light of the world.
 #[derive(Resource, Clone, Copy, Debug, Default, PartialEq)]
@@ -29,6 +44,41 @@ pub struct ExtractIndex {
     entities: Vec<Entity>,
 }
 
+/// What hides: [`Hidden`] on the entity itself or on one above it.
+#[derive(bevy_ecs::system::SystemParam)]
+pub struct Hiding<'w, 's> {
+    above: Query<'w, 's, &'static ChildOf>,
+    hidden: Query<'w, 's, (), With<Hidden>>,
+    hid: Query<'w, 's, (), Added<Hidden>>,
+    shown: RemovedComponents<'w, 's, Hidden>,
+    moved: Query<'w, 's, (), Changed<ChildOf>>,
+    freed: RemovedComponents<'w, 's, ChildOf>,
+}
+
+impl Hiding<'_, '_> {
+    /// Something was hidden or shown, or hangs elsewhere, since the last run.
+    fn changed(&mut self) -> bool {
+        let events = self.shown.read().count() + self.freed.read().count();
+        events > 0 || !self.hid.is_empty() || !self.moved.is_empty()
+    }
+
+    fn is_visible(&self, entity: Entity) -> bool {
+        if self.hidden.is_empty() {
+            return true;
+        }
+        let mut at = entity;
+        loop {
+            if self.hidden.contains(at) {
+                return false;
+            }
+            match self.above.get(at) {
+                Ok(parent) => at = parent.parent(),
+                Err(_) => return true,
+            }
+        }
+    }
+}
+
 impl ExtractIndex {
     /// Entity behind an `instance_id` of the current scene.
     pub fn entity(&self, instance_id: u32) -> Option<Entity> {
@@ -36,30 +86,31 @@ impl ExtractIndex {
     }
 }
 
-type Visible = (With<StableId>, Without<Hidden>);
-
 /// The extraction system; runs in `Last`, after transforms have propagated.
 pub fn extract(
     assets: Res<Assets>,
     environment: Res<SceneEnvironment>,
     mut index: ResMut<ExtractIndex>,
     mut extracted: ResMut<Extracted>,
-    instances: Query<(Entity, &StableId, &MeshInstance, &GlobalTransform), Visible>,
-    moved: Query<(Entity, &GlobalTransform), (Changed<GlobalTransform>, With<MeshInstance>, Visible)>,
-    restructured: Query<(), (Or<(Changed<MeshInstance>, Changed<StableId>)>, With<MeshInstance>, Visible)>,
-    mut gone: (RemovedComponents<MeshInstance>, RemovedComponents<StableId>, RemovedComponents<Hidden>),
-    hidden: Query<(), (Added<Hidden>, With<MeshInstance>)>,
-    lights: Query<(Entity, &StableId, &LightSource, &GlobalTransform), Without<Hidden>>,
+    mut extracted_cameras: ResMut<ExtractedCameras>,
+    instances: Query<(Entity, &StableId, &MeshInstance, &GlobalTransform)>,
+    moved: Query<(Entity, &GlobalTransform), (Changed<GlobalTransform>, With<MeshInstance>, With<StableId>)>,
+    restructured: Query<(), (Or<(Changed<MeshInstance>, Changed<StableId>)>, With<MeshInstance>)>,
+    mut gone: (RemovedComponents<MeshInstance>, RemovedComponents<StableId>),
+    mut hiding: Hiding,
+    lights: Query<(Entity, &StableId, &LightSource, &GlobalTransform)>,
     cameras: Query<(Entity, &StableId, &CameraProjection, &GlobalTransform)>,
 ) {
     let scene = &mut extracted.0;
     scene.begin_revision();
     scene.environment = environment.0;
 
-    let removed = gone.0.read().count() + gone.1.read().count() + gone.2.read().count() > 0;
-    if removed || assets.is_changed() || !restructured.is_empty() || !hidden.is_empty() {
+    let removed = gone.0.read().count() + gone.1.read().count() > 0;
+    let hidden = hiding.changed();
+    if removed || hidden || assets.is_changed() || !restructured.is_empty() {
         let mut rows: Vec<(u64, Entity, Instance)> = instances
             .iter()
+            .filter(|(e, ..)| hiding.is_visible(*e))
             .map(|(e, id, m, t)| {
                 let instance =
                     Instance { stable_id: id.0, mesh: m.mesh.0, material: m.material.0, world_from_object: affine(t) };
@@ -90,15 +141,25 @@ pub fn extract(
         scene.moved.sort_unstable();
     }
 
-    let mut rows: Vec<(Entity, Light)> =
-        lights.iter().map(|(e, id, l, t)| (e, posed_light(id.0, l, &affine(t)))).collect();
+    let mut rows: Vec<(Entity, Light)> = lights
+        .iter()
+        .filter(|(e, ..)| hiding.is_visible(*e))
+        .map(|(e, id, l, t)| (e, posed_light(id.0, l, &affine(t))))
+        .collect();
     rows.sort_by_key(|(e, l)| (l.stable_id, *e));
     scene.lights.clear();
     scene.lights.extend(rows.iter().map(|r| r.1));
 
-    if let Some((_, _, projection, transform)) = cameras.iter().min_by_key(|c| (c.1, c.0)) {
-        scene.camera = posed_camera(projection, &affine(transform));
-    }
+    let views = &mut extracted_cameras.0;
+    views.clear();
+    views.extend(cameras.iter().filter(|(e, ..)| hiding.is_visible(*e)).map(|(entity, id, lens, t)| ExtractedCamera {
+        entity,
+        stable_id: id.0,
+        camera: posed_camera(lens, &affine(t)),
+    }));
+    views.sort_by_key(|v| (v.stable_id, v.entity));
+    // A world without a camera looks as one that never had any.
+    scene.camera = views.first().map_or_else(Camera::default, |v| v.camera);
 }
 
 fn affine(t: &GlobalTransform) -> Affine3 {
@@ -207,5 +268,38 @@ mod tests {
         app.world_mut().entity_mut(boxes[2]).remove::<Hidden>();
         app.update();
         assert_eq!(scene(&app).instances[1].world_from_object.translation.z, 7.0);
+    }
+
+    #[test]
+    fn what_hangs_on_a_hidden_thing_is_hidden() {
+        let (mut app, boxes) = world([1, 2, 3]);
+        app.world_mut().entity_mut(boxes[1]).insert(ChildOf(boxes[0]));
+        app.world_mut().entity_mut(boxes[0]).insert(Hidden);
+        app.update();
+        assert_eq!(scene(&app).instances.iter().map(|i| i.stable_id).collect::<Vec<_>>(), [3]);
+        // Hung elsewhere it is seen again, at the pose that follows from its new parent.
+        app.world_mut().entity_mut(boxes[1]).insert(ChildOf(boxes[2]));
+        app.update();
+        assert_eq!(scene(&app).instances.iter().map(|i| i.stable_id).collect::<Vec<_>>(), [2, 3]);
+        assert_eq!(scene(&app).instances[0].world_from_object.translation.x, 5.0);
+        app.world_mut().entity_mut(boxes[0]).remove::<Hidden>();
+        app.update();
+        assert_eq!(scene(&app).instances.len(), 3);
+    }
+
+    #[test]
+    fn cameras_come_by_their_ids() {
+        let (mut app, _) = world([1, 2, 3]);
+        let lens = CameraProjection { projection: Camera::default().projection, near: 0.1 };
+        let [far, near] = [(20, 4.0), (10, 7.0)]
+            .map(|(id, z)| app.world_mut().spawn((StableId(id), lens, Transform::from_xyz(0.0, 0.0, z))).id());
+        app.update();
+        let cameras = |app: &bevy_app::App| app.world().resource::<ExtractedCameras>().0.clone();
+        assert_eq!(cameras(&app).iter().map(|c| c.entity).collect::<Vec<_>>(), [near, far]);
+        assert_eq!(scene(&app).camera.world_from_view.translation.z, 7.0);
+        app.world_mut().entity_mut(near).insert(Hidden);
+        app.update();
+        assert_eq!(cameras(&app).len(), 1);
+        assert_eq!(scene(&app).camera, cameras(&app)[0].camera);
     }
 }

@@ -27,7 +27,7 @@ pub use assets::{Assets, MaterialId, MeshId, TextureId};
 pub use camera::{Camera, Projection};
 pub use clock::{FIXED_DT_SECS, FixedClock, FixedUpdate};
 pub use components::{CameraProjection, Hidden, LightSource, MeshInstance, StableId};
-pub use extract::Extracted;
+pub use extract::{Extracted, ExtractedCamera, ExtractedCameras};
 pub use fit::{fit_camera, headlight};
 pub use gltf::{GltfError, ImportLimits, ImportReport, ImportedScene, export_glb, load_gltf, load_gltf_bytes};
 pub use light::{Light, LightKind};

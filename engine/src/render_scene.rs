@@ -145,11 +145,16 @@ impl RenderScene {
         for l in &self.lights {
             let finite = l.position_world.is_finite()
                 && l.direction_world.is_finite()
+                && l.up_world.is_finite()
                 && l.intensity.is_finite()
                 && l.radius.is_finite();
             if !finite || l.intensity.min_element() < 0.0 || l.radius < 0.0 {
                 return bad(format!("light {}", l.stable_id), "a value is NaN, infinite or negative");
             }
+        }
+        let e = &self.environment;
+        if !e.background.is_finite() || !e.ambient.is_finite() {
+            return bad("the environment".into(), "its background or ambient radiance is NaN or infinite");
         }
         let lens = match self.camera.projection {
             Projection::Perspective { fov_y } => fov_y > 0.0 && fov_y < std::f32::consts::PI,

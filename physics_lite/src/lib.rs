@@ -72,3 +72,6 @@ pub(crate) fn axis_angle(axis: glam::DVec3, angle: f64) -> Quat {
 pub(crate) fn quat_of(m: &Mat3) -> Quat {
     Quat::from_mat3(m).normalize()
 }
+
+#[cfg(test)]
+mod tests;

@@ -130,7 +130,7 @@ impl TippingBox {
     pub fn energy(&self) -> f64 {
         let (a, b) = self.section();
         let r = (a * a + b * b).sqrt();
-        let phi = self.angle - math_atan2(a, b);
+        let phi = self.angle - angle_of(a, b);
         2.0 / 3.0 * r * r * self.rate * self.rate + GRAVITY * r * math::cos_f64(phi)
     }
 
@@ -286,7 +286,7 @@ impl TippingBox {
         }
         let (a, b) = self.section();
         let r = (a * a + b * b).sqrt();
-        let phi0 = math_atan2(a, b);
+        let phi0 = angle_of(a, b);
         let stiffness = 0.75 * GRAVITY / r;
         let h = DT / f64::from(SUBSTEPS);
         for _ in 0..SUBSTEPS {
@@ -305,7 +305,7 @@ impl TippingBox {
 }
 
 /// Angle whose tangent is y/x for y, x > 0, f64, by the engine's f32 atan2 and two Newton steps on its sine and cosine.
-fn math_atan2(y: f64, x: f64) -> f64 {
+pub(crate) fn angle_of(y: f64, x: f64) -> f64 {
     let r = (x * x + y * y).sqrt();
     let mut t = f64::from(math::atan2(y as f32, x as f32));
     for _ in 0..2 {

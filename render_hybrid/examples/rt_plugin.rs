@@ -40,6 +40,8 @@ struct Handle {
     /// Triangles before each instance's.
     offsets: Vec<u32>,
     single: bool,
+    /// Of the first instance.
+    mesh: Arc<Mesh>,
 }
 
 /// Newline-separated names.
@@ -120,7 +122,7 @@ pub unsafe extern "C" fn rt_build(
         eprintln!("{e}");
         return std::ptr::null_mut();
     }
-    Box::into_raw(Box::new(Handle { accel, offsets, single })).cast()
+    Box::into_raw(Box::new(Handle { accel, offsets, single, mesh: scene.meshes[0].clone() })).cast()
 }
 
 const BATCH: usize = 1024;
@@ -193,6 +195,32 @@ pub unsafe extern "C" fn rt_occluded(
             *out = u8::from(*hit);
         }
     }
+}
+
+/// Moves the vertices of a one-mesh structure; returns the seconds of the refit proper, below 0 where that is not possible.
+///
+/// # Safety
+/// A handle of [`rt_build`], `count` vertices.
+#[unsafe(no_mangle)]
+pub unsafe extern "C" fn rt_refit(handle: *mut c_void, verts: *const f32, count: u32) -> f64 {
+    // SAFETY: by the function's contract.
+    let (handle, v) = unsafe { (&mut *handle.cast::<Handle>(), std::slice::from_raw_parts(verts, 3 * count as usize)) };
+    let positions: Vec<Vec3> = v.chunks_exact(3).map(Vec3::from_slice).collect();
+    let data = MeshData {
+        normals: vec![Vec3::Y; positions.len()],
+        positions,
+        triangles: handle.mesh.triangles().to_vec(),
+        ..Default::default()
+    };
+    let Ok(mesh) = Mesh::new(data) else { return -1.0 };
+    let mesh = Arc::new(mesh);
+    let start = Instant::now();
+    if handle.offsets.len() != 2 || !handle.accel.refit_mesh(&handle.mesh, &mesh) {
+        return -1.0;
+    }
+    let seconds = start.elapsed().as_secs_f64();
+    handle.mesh = mesh;
+    seconds
 }
 
 /// Frees what [`rt_build`] made.

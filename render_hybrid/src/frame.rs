@@ -32,23 +32,28 @@ use crate::{
 };
 
 /// Makes one frame on the current rayon pool.
+/// * `read_back`: a picture that the GPU made is wanted in memory; else it stays on the GPU and the frame's image is empty
 pub(crate) fn render_frame(
     state: &mut FrameState,
     level: SimdLevel,
     scene: &RenderScene,
     settings: &RenderSettings,
+    read_back: bool,
 ) -> Result<Frame, RenderError> {
     if let Some(what) = settings.invalid() {
         return Err(RenderError::Settings(what));
     }
     scene.validate()?;
     let start = Instant::now();
-    let mut frame = Frame { image: Image::new(settings.width, settings.height), ..Frame::default() };
+    let mut frame = Frame::default();
     frame.stats.device = device_name(state, level);
     match state.gpu.take() {
-        None => cpu_frame(state, level, scene, settings, &mut frame),
+        None => {
+            frame.image = Image::new(settings.width, settings.height);
+            cpu_frame(state, level, scene, settings, &mut frame);
+        }
         Some(mut gpu) => {
-            let made = gpu_frame(state, &mut gpu, level, scene, settings, &mut frame);
+            let made = gpu_frame(state, &mut gpu, level, scene, settings, read_back, &mut frame);
             state.gpu = Some(gpu);
             made?;
         }
@@ -79,6 +84,7 @@ fn gpu_frame(
     level: SimdLevel,
     scene: &RenderScene,
     settings: &RenderSettings,
+    read_back: bool,
     frame: &mut Frame,
 ) -> Result<(), RenderError> {
     frame.stats.raster = RasterLane::Gpu;
@@ -134,7 +140,9 @@ fn gpu_frame(
 
     let start = Instant::now();
     gpu.compose(&traced)?;
-    frame.image = gpu.read_layer(Layer::Final)?;
+    if read_back {
+        frame.image = gpu.read_layer(Layer::Final)?;
+    }
     if settings.keep_layers {
         for (layer, _) in Layer::ALL.iter().filter(|(l, _)| *l != Layer::Final) {
             frame.layers.push((*layer, gpu.read_layer(*layer)?));

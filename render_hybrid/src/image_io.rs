@@ -76,7 +76,7 @@ impl SrgbTable {
 
     fn new() -> Self {
         let mut step = [0.0; 256];
-        for v in 1..256usize {
+        for (v, step) in step.iter_mut().enumerate().skip(1) {
             // Bisect over the bits: positive floats are ordered as their bits are.
             let (mut low, mut high) = (0u32, 1.0f32.to_bits());
             while low + 1 < high {
@@ -87,7 +87,7 @@ impl SrgbTable {
                     low = mid;
                 }
             }
-            step[v] = f32::from_bits(high);
+            *step = f32::from_bits(high);
         }
         let mut start = [0; Self::BUCKETS];
         for (i, s) in start.iter_mut().enumerate() {
@@ -98,8 +98,7 @@ impl SrgbTable {
 
     #[inline]
     fn byte(&self, x: f32) -> u8 {
-        // NaN fails the first comparison too.
-        if !(x >= f32::from_bits(Self::FIRST << 16)) {
+        if x.is_nan() || x < f32::from_bits(Self::FIRST << 16) {
             return 0;
         }
         if x >= 1.0 {

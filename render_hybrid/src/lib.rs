@@ -8,6 +8,8 @@ pub mod image_io;
 #[cfg(feature = "metrics")]
 pub mod metrics;
 pub mod output;
+pub mod plugin;
+pub mod query;
 pub mod raster;
 mod renderer;
 pub mod settings;
@@ -17,5 +19,16 @@ pub mod twin;
 
 pub use error::RenderError;
 pub use output::*;
-pub use renderer::Renderer;
+pub use plugin::{
+    CameraSettings, DefaultSettings, EntityHit, HybridRenderer, Raycaster, RenderHybridPlugin, RenderTarget,
+    RenderedCamera, RenderedFrames,
+};
+pub use query::{SceneQuery, SurfaceHit};
+pub use renderer::{Renderer, render_to_image};
 pub use settings::*;
+
+pub use bevy_app;
+pub use bevy_ecs;
+pub use catoptra_engine as engine;
+pub use glam;
+pub use wgpu;

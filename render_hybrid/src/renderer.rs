@@ -1,14 +1,15 @@
 //! The renderer: threads, structures and memory that live from frame to frame. The frame itself is in `frame.rs`.
 
-use catoptra_engine::RenderScene;
+use catoptra_engine::{RenderScene, SceneError};
 use std::sync::Mutex;
 
 use crate::{
     accel::{Accel, AccelOptions},
     error::RenderError,
     frame,
-    output::Frame,
-    raster::{GpuRaster, list_adapters},
+    output::{Frame, FrameStats, Image},
+    query::SceneQuery,
+    raster::{GpuRaster, HostView, list_adapters},
     settings::{GlassShadows, RasterLane, RenderSettings, RendererOptions, SimdLevel},
     simd,
     trace::{
@@ -24,6 +25,24 @@ pub struct Renderer {
     pub(crate) pool: rayon::ThreadPool,
     pub(crate) level: SimdLevel,
     pub(crate) state: FrameState,
+    /// A fault of the GPU is answered by the CPU lane.
+    automatic: bool,
+    /// Why the GPU lane was given up.
+    fault: Option<String>,
+    /// The host's device, where one was lent.
+    host: Option<(wgpu::Device, wgpu::Queue)>,
+    host_view: Option<HostView>,
+}
+
+/// Makes one picture with a renderer of its own, on the best lane: no window, right at once, usable from a test.
+///
+/// Setting up costs up to a second where there is a GPU; keep a [`Renderer`] for more than one picture, and choose
+/// [`RasterLane::Cpu`] for the same bits on every machine.
+///
+/// # Errors
+/// As [`Renderer::render`].
+pub fn render_to_image(scene: &RenderScene, settings: &RenderSettings) -> Result<Image, RenderError> {
+    Ok(Renderer::new(RendererOptions::default())?.render(scene, settings)?.image)
 }
 
 /// What a frame works on and leaves for the next one. It speeds the next frame up and never changes it.
@@ -82,16 +101,122 @@ impl Renderer {
             tiles: (0..threads).map(|_| Mutex::default()).collect(),
             gpu,
         };
-        Ok(Self { pool, level, state })
+        let automatic = options.raster == RasterLane::Auto;
+        Ok(Self { pool, level, state, automatic, fault: None, host: None, host_view: None })
+    }
+
+    /// A renderer on a device of the host's, whose handles are cheap clones: its views can be drawn into with
+    /// [`Self::render_to_view`]. Nothing of the host's is changed: no callback is set, all work is in command buffers of its
+    /// own, and errors are caught by scopes.
+    ///
+    /// `Auto` takes the GPU lane where the device can serve it and is no software; otherwise the CPU makes the picture and
+    /// the device only shows it.
+    ///
+    /// # Errors
+    /// As [`Self::new`]: `Gpu` on a device that lacks something names what is missing.
+    pub fn with_device(
+        device: wgpu::Device,
+        queue: wgpu::Queue,
+        options: RendererOptions,
+    ) -> Result<Self, RenderError> {
+        let lane = |device: &wgpu::Device, queue: &wgpu::Queue| GpuRaster::from_device(device.clone(), queue.clone());
+        let gpu = match options.raster {
+            RasterLane::Cpu => None,
+            RasterLane::Gpu => Some(lane(&device, &queue)?),
+            RasterLane::Auto if device.adapter_info().device_type == wgpu::DeviceType::Cpu => None,
+            RasterLane::Auto => lane(&device, &queue).map_err(|e| tracing::warn!("the CPU lane is used: {e}")).ok(),
+        };
+        Ok(Self { host: Some((device, queue)), ..Self::with_gpu(options, gpu)? })
     }
 
     /// Makes one picture. Right on the first call; the same scene and settings give the same picture ever after.
     ///
+    /// Where the lane was `Auto` and the GPU fails (lost, out of memory, a scene beyond its limits), the CPU lane makes this
+    /// picture and all later ones; [`Self::fault`] says why.
+    ///
     /// # Errors
-    /// [`RenderError::Settings`] and [`RenderError::Scene`] for what cannot be drawn, [`RenderError::Gpu`] for a lost device.
+    /// [`RenderError::Settings`] and [`RenderError::Scene`] for what cannot be drawn; [`RenderError::Gpu`] where the GPU lane
+    /// was chosen explicitly and failed.
     pub fn render(&mut self, scene: &RenderScene, settings: &RenderSettings) -> Result<Frame, RenderError> {
+        self.frame(scene, settings, true)
+    }
+
+    fn frame(&mut self, scene: &RenderScene, settings: &RenderSettings, read_back: bool) -> Result<Frame, RenderError> {
         let (level, state) = (self.level, &mut self.state);
-        self.pool.install(|| frame::render_frame(state, level, scene, settings))
+        match self.pool.install(|| frame::render_frame(state, level, scene, settings, read_back)) {
+            Err(RenderError::Gpu(why)) if self.automatic => {
+                self.give_up_gpu(why);
+                let state = &mut self.state;
+                self.pool.install(|| frame::render_frame(state, level, scene, settings, read_back))
+            }
+            made => made,
+        }
+    }
+
+    fn give_up_gpu(&mut self, why: String) {
+        tracing::warn!("the GPU failed ({why}); the CPU lane takes over");
+        if self.host.is_none() {
+            self.host = self.state.gpu.as_ref().map(|g| (g.device().0.clone(), g.device().1.clone()));
+        }
+        self.state.gpu = None;
+        self.fault = Some(why);
+    }
+
+    /// Why the GPU lane was given up for the CPU lane; `None` where it was not.
+    pub fn fault(&self) -> Option<&str> {
+        self.fault.as_deref()
+    }
+
+    /// Makes one picture and draws it over all of `view`: radiance x 2^`exposure_ev`, clamped to [0, 1], sRGB curve (by the
+    /// target where its `format` has it). Sizes may differ; the nearest pixel is taken. On the GPU lane nothing is read
+    /// back. The work is submitted; the queue's order does the rest.
+    /// * `view`: of the device lent to [`Self::with_device`], or of this renderer's own ([`Self::gpu_mut`]); usage
+    ///   `RENDER_ATTACHMENT`
+    ///
+    /// # Errors
+    /// As [`Self::render`]; [`RenderError::Unavailable`] where the renderer has no device.
+    pub fn render_to_view(
+        &mut self,
+        scene: &RenderScene,
+        settings: &RenderSettings,
+        view: &wgpu::TextureView,
+        format: wgpu::TextureFormat,
+        exposure_ev: f32,
+    ) -> Result<FrameStats, RenderError> {
+        if self.state.gpu.is_none() && self.host.is_none() {
+            return Err(RenderError::Unavailable {
+                choice: "drawing into a view".into(),
+                missing: "a device: make the renderer with Renderer::with_device".into(),
+            });
+        }
+        let mut frame = self.frame(scene, settings, false)?;
+        if let Some(gpu) = &mut self.state.gpu {
+            match gpu.present(view, format, exposure_ev) {
+                Err(RenderError::Gpu(why)) if self.automatic => {
+                    self.give_up_gpu(why);
+                    frame = self.frame(scene, settings, false)?;
+                }
+                presented => return presented.map(|()| frame.stats),
+            }
+        }
+        let (device, queue) = self.host.as_ref().expect("checked above, and kept when the lane was given up");
+        if self.host_view.is_none() {
+            self.host_view = Some(HostView::new(device.clone(), queue.clone())?);
+        }
+        let host_view = self.host_view.as_mut().expect("made above");
+        frame.stats.bytes_up += host_view.draw(&frame.image, view, format, exposure_ev)?;
+        Ok(frame.stats)
+    }
+
+    /// Questions about `scene`: picking, occlusion. Brings the structure up to the scene, which costs what moved.
+    ///
+    /// # Errors
+    /// [`SceneError`] where the scene cannot be drawn.
+    pub fn query<'a>(&'a mut self, scene: &'a RenderScene) -> Result<SceneQuery<'a>, SceneError> {
+        scene.validate()?;
+        let state = &mut self.state;
+        self.pool.install(|| update_structures(state, scene, GlassShadows::Opaque));
+        Ok(SceneQuery { scene, accel: &self.state.accel, normals: &self.state.normals, pool: &self.pool })
     }
 
     /// Adds `samples` samples per pixel of the path-traced truth to `accumulator`. Returns the number of rays.

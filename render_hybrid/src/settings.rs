@@ -243,11 +243,14 @@ impl RenderSettings {
         if self.shadow_samples == 0 || self.shadow_samples > 4096 {
             return Some(format!("{} shadow samples are outside 1 to 4096", self.shadow_samples));
         }
+        if !(self.min_weight >= 0.0 && self.min_weight.is_finite()) {
+            return Some(format!("a least ray weight of {} is not a number from 0 up", self.min_weight));
+        }
         let m = self.moments;
         if !(16..=8192).contains(&m.size) || !(16..=8192).contains(&m.face_size) {
             return Some(format!("moment maps of {} and {} texels are outside 16 to 8192", m.size, m.face_size));
         }
-        if !(m.min_variance > 0.0 && (0.0..1.0).contains(&m.light_bleed_reduction)) {
+        if !(m.min_variance > 0.0 && m.min_variance.is_finite() && (0.0..1.0).contains(&m.light_bleed_reduction)) {
             return Some("min_variance must be over 0 and light_bleed_reduction in [0, 1)".into());
         }
         if let Some(v) = self.vpl {
@@ -259,6 +262,9 @@ impl RenderSettings {
             }
             if ![16, 32, 64].contains(&v.map_size) {
                 return Some(format!("VPL maps of {} texels: 16, 32 or 64", v.map_size));
+            }
+            if v.geometry_term_max.is_some_and(|b| b.is_nan() || b < 0.0) {
+                return Some("the bound of the VPLs' geometry term must be a number from 0 up".into());
             }
         }
         None

@@ -30,7 +30,7 @@ fn one_hash_for_threads_tiles_levels_and_trees() {
         for frame in FRAMES {
             let scene = scene_at(name, frame);
             let expected = hash(RendererOptions::default(), &scene, &settings());
-            let mut same = |what: &str, options: RendererOptions, settings: &RenderSettings| {
+            let same = |what: &str, options: RendererOptions, settings: &RenderSettings| {
                 assert_eq!(hash(options, &scene, settings), expected, "{name} frame {frame}: {what}");
             };
             same("repeated", RendererOptions::default(), &settings());

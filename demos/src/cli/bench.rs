@@ -4,7 +4,7 @@ use super::{
     args::BenchArgs,
     failure::{Failure, line},
     progress::Progress,
-    render::{DEFAULT_SIZE, make_frame},
+    render::{DEFAULT_SIZE, make_frame, refuse_more_than_memory},
     stats::{self, FrameRecord},
     target::Target,
     world::World,
@@ -21,6 +21,7 @@ pub fn run(args: &BenchArgs) -> Result<(), Failure> {
     args.picture.refuse_missing()?;
     let settings = args.picture.settings(DEFAULT_SIZE)?;
     let targets = Target::parse(&args.target)?;
+    refuse_more_than_memory(&settings)?;
     let options = args.picture.scene.options();
     let mut renderer = args.picture.renderer()?;
     let json_alone = args.json.as_deref() == Some(Path::new("-"));

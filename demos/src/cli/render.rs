@@ -67,19 +67,23 @@ pub fn render(job: &RenderJob<'_>) -> Result<(), Failure> {
     job.picture.refuse_missing()?;
     let mut settings = job.picture.settings(DEFAULT_SIZE)?;
     settings.keep_layers = job.layer != LayerArg::Final;
+    refuse_more_than_memory(&settings)?;
     let options = job.picture.scene.options();
-    // The machine and the folder are asked before any work is done.
-    let mut renderer = job.picture.renderer()?;
-    let mut ready = false;
+    let mut renderer = None;
     let mut entries = Vec::new();
     for target in &job.targets {
         let mut world = World::open(target, &options)?;
-        if !ready {
-            prepare_folder(job.out)?;
-            ready = true;
-        }
-        entries.push(render_target(job, &mut world, &mut renderer, &settings)?);
+        let renderer = match &mut renderer {
+            Some(renderer) => renderer,
+            // Folder and machine are asked once something can be drawn, and before it is.
+            none => {
+                prepare_folder(job.out)?;
+                none.insert(job.picture.renderer()?)
+            }
+        };
+        entries.push(render_target(job, &mut world, renderer, &settings)?);
     }
+    let Some(renderer) = renderer else { return Ok(()) };
     let file = json!({
         "machine": stats::machine(&renderer),
         "raster": stats::lane_name(renderer.lane()),
@@ -171,6 +175,37 @@ fn picture_path(out: &Path, name: &str, layer: LayerArg, frame: u64, format: For
         LayerArg::Final => out.join(format!("{name}-{frame:04}.{ending}")),
         _ => out.join(format!("{name}-{}-{frame:04}.{ending}", layer.layer().1)),
     }
+}
+
+/// Refuses pictures that would exhaust the machine: what the system does then is no clear line.
+///
+/// # Errors
+/// With both figures in words. Where the system does not tell its memory nothing is refused.
+pub fn refuse_more_than_memory(settings: &RenderSettings) -> Result<(), Failure> {
+    // Linear picture, sRGB bytes and encoded file, with a margin; a layer each where they are kept.
+    let bytes_per_pixel = if settings.keep_layers { 40 + 9 * 12 } else { 40 };
+    let need = u64::from(settings.width) * u64::from(settings.height) * bytes_per_pixel;
+    match available_memory() {
+        Some(there) if need > there => Err(Failure::other(format!(
+            "a picture of {}x{} takes about {:.1} GiB of memory and {:.1} GiB are free; choose a smaller --size",
+            settings.width,
+            settings.height,
+            gib(need),
+            gib(there)
+        ))),
+        _ => Ok(()),
+    }
+}
+
+fn gib(bytes: u64) -> f64 {
+    bytes as f64 / f64::from(1 << 30)
+}
+
+/// Free memory in bytes, as Linux tells it.
+fn available_memory() -> Option<u64> {
+    let text = std::fs::read_to_string("/proc/meminfo").ok()?;
+    let line = text.lines().find_map(|l| l.strip_prefix("MemAvailable:"))?;
+    Some(line.trim().strip_suffix("kB")?.trim().parse::<u64>().ok()? * 1024)
 }
 
 /// Makes the folder and tries to write into it, so that an unwritable one is told before the work.

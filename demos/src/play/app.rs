@@ -3,7 +3,7 @@
 use super::{
     PlayError,
     panel::{self, Figures},
-    present::{PanelDrawing, Presenter},
+    present::{PanelDrawing, Presenter, Stage},
     scene_by_number,
     shared::{Controls, Picture, Shared},
     worker::{self, Report},
@@ -56,13 +56,11 @@ pub fn run(controls: Controls, picture: &PictureArgs) -> Result<(), PlayError> {
     }
 }
 
-/// A system's error without the source line that winit puts before it.
+/// A system's error without the place in winit's sources that it comes from.
 fn first_words(text: &str) -> String {
     let told = text.split_whitespace().collect::<Vec<_>>().join(" ");
-    match told.rsplit_once("): ") {
-        Some((_, rest)) => rest.to_string(),
-        None => told,
-    }
+    let reason = told.strip_prefix("os error at ").and_then(|rest| rest.split_once(": "));
+    reason.map_or(told.as_str(), |(_, reason)| reason).trim_end_matches('.').to_string()
 }
 
 struct App {
@@ -106,7 +104,13 @@ impl ApplicationHandler<Report> for App {
         match report {
             Report::Picture => {
                 let (Some(picture), Some(open)) = (self.shared.take_picture(), &mut self.open) else { return };
-                let interval_ms = self.last_picture.elapsed().as_secs_f64() * 1e3;
+                if self.controls.target.is_none() {
+                    // It was on its way when the picker opened.
+                    return;
+                }
+                // While time stands still pictures come when something changes: their distance tells nothing.
+                let since_last = self.last_picture.elapsed().as_secs_f64() * 1e3;
+                let interval_ms = if self.controls.paused { picture.frame_ms } else { since_last };
                 self.last_picture = Instant::now();
                 self.figures.learn(&picture, interval_ms);
                 open.presenter.upload(&picture);
@@ -138,8 +142,8 @@ impl ApplicationHandler<Report> for App {
             WindowEvent::CloseRequested => event_loop.exit(),
             WindowEvent::Resized(size) => {
                 open.presenter.resize(size.width, size.height);
+                // The panel is laid out anew, which tells the picture's new size.
                 open.window.request_redraw();
-                self.change(|c| c.window = (size.width.max(1), size.height.max(1)));
             }
             WindowEvent::RedrawRequested => {
                 if let Err(why) = self.redraw() {
@@ -224,6 +228,7 @@ impl App {
         let context = open.egui.egui_ctx().clone();
         let mut wanted = self.controls.clone();
         let mut wishes = panel::Wishes::default();
+        let mut left = egui::Rect::NOTHING;
         let (figures, message, shown) = (&self.figures, self.message.as_str(), self.panel_shown);
         let output = context.run_ui(input, |ui| {
             if wanted.target.is_none() {
@@ -231,11 +236,15 @@ impl App {
             } else if shown {
                 wishes = panel::panel(ui, &mut wanted, figures, message);
             }
+            left = ui.available_rect_before_wrap();
         });
         open.egui.handle_platform_output(&open.window, output.platform_output);
         let pixels_per_point = output.pixels_per_point;
         let primitives = context.tessellate(output.shapes, pixels_per_point);
-        open.presenter.draw(PanelDrawing { primitives, textures: output.textures_delta, pixels_per_point })?;
+        let stage = Stage::from_points(left, pixels_per_point, open.window.inner_size().into());
+        let textures = output.textures_delta;
+        open.presenter.draw(PanelDrawing { primitives, textures, pixels_per_point, stage })?;
+        wanted.window = (stage.width, stage.height);
         // Animations of the panel ask for more frames.
         let soon = output.viewport_output.values().any(|v| v.repaint_delay.as_millis() < 20);
         if soon {
@@ -243,6 +252,7 @@ impl App {
         }
         if wishes.picker {
             wanted.target = None;
+            open.presenter.clear();
         }
         if wishes.screenshot {
             self.screenshot();
@@ -269,6 +279,8 @@ impl App {
     }
 
     fn stop(&mut self, worker: JoinHandle<()>) {
+        // The event loop has ended: a window that is still asked to redraw would panic.
+        self.open = None;
         self.change(|c| c.quit = true);
         // A worker that panicked has said so itself.
         let _ = worker.join();
@@ -281,8 +293,8 @@ mod tests {
 
     #[test]
     fn source_lines_are_left_out() {
-        let told = "os error at /x/winit-0.30.13/src/y.rs:765: neither (A, B): DISPLAY is set.";
-        assert!(!first_words(told).is_empty());
+        let told = "os error at /x/winit-0.30.13/src/y.rs:765: neither A nor DISPLAY is set.";
+        assert_eq!(first_words(told), "neither A nor DISPLAY is set");
         assert_eq!(first_words("a\n  b"), "a b");
     }
 }

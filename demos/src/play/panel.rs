@@ -21,7 +21,7 @@ pub struct Figures {
     pub stats: FrameStats,
     /// Steps and extraction, milliseconds.
     pub physics_ms: f64,
-    /// Mean time between pictures over the last dozen or so, milliseconds.
+    /// Mean time between pictures over the last half second or so, milliseconds.
     pub interval_ms: f64,
 }
 
@@ -33,7 +33,8 @@ impl Figures {
         self.size = (picture.width, picture.height);
         self.stats = picture.stats.clone();
         self.physics_ms = picture.physics_ms;
-        let weight = if self.interval_ms > 0.0 { 0.1 } else { 1.0 };
+        // About half a second of memory, whatever the rate.
+        let weight = if self.interval_ms > 0.0 { interval_ms / (interval_ms + 500.0) } else { 1.0 };
         self.interval_ms += (interval_ms - self.interval_ms) * weight;
     }
 }

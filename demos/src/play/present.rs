@@ -1,4 +1,4 @@
-//! The window's surface: the newest picture over the whole window, the panel on top.
+//! The window's surface: the newest picture beside the panel.
 //!
 //! The surface has a device of its own. It carries one small texture and the panel, whatever lane makes the picture, so a
 //! window works on any adapter that can show at all.
@@ -31,6 +31,36 @@ pub struct PanelDrawing {
     pub textures: egui::TexturesDelta,
     /// Pixels a point.
     pub pixels_per_point: f32,
+    /// Where the picture goes.
+    pub stage: Stage,
+}
+
+/// The part of the window that the panel leaves to the picture, in pixels from the top left corner.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Stage {
+    /// Left edge.
+    pub x: u32,
+    /// Upper edge.
+    pub y: u32,
+    /// Width, at least 1.
+    pub width: u32,
+    /// Height, at least 1.
+    pub height: u32,
+}
+
+impl Stage {
+    /// `rect` in points, cut to a window of `(width, height)` pixels; the whole window where nothing would be left.
+    pub fn from_points(rect: egui::Rect, pixels_per_point: f32, window: (u32, u32)) -> Self {
+        let (window_width, window_height) = (window.0.max(1), window.1.max(1));
+        // Casts of what lies outside saturate.
+        let edge = |points: f32, most: u32| ((points * pixels_per_point).round() as u32).min(most);
+        let (x, y) = (edge(rect.min.x, window_width), edge(rect.min.y, window_height));
+        let (right, bottom) = (edge(rect.max.x, window_width), edge(rect.max.y, window_height));
+        if right <= x || bottom <= y {
+            return Self { x: 0, y: 0, width: window_width, height: window_height };
+        }
+        Self { x, y, width: right - x, height: bottom - y }
+    }
 }
 
 impl Presenter {
@@ -100,6 +130,11 @@ impl Presenter {
         let layout =
             wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(4 * size.width), rows_per_image: None };
         self.queue.write_texture(texture.as_image_copy(), &picture.rgba8, layout, size);
+    }
+
+    /// Shows no picture from now on.
+    pub fn clear(&mut self) {
+        self.picture = None;
     }
 
     fn picture_texture(&self, size: wgpu::Extent3d) -> (wgpu::Texture, wgpu::BindGroup) {
@@ -195,6 +230,12 @@ impl Presenter {
             // The panel's renderer asks for a pass that borrows nothing.
             let mut pass = pass.forget_lifetime();
             if let Some((_, bind_group)) = &self.picture {
+                // The surface may be a step behind the window while it is resized.
+                let x = panel.stage.x.min(self.config.width - 1);
+                let y = panel.stage.y.min(self.config.height - 1);
+                let width = panel.stage.width.min(self.config.width - x);
+                let height = panel.stage.height.min(self.config.height - y);
+                pass.set_viewport(x as f32, y as f32, width as f32, height as f32, 0.0, 1.0);
                 pass.set_pipeline(&self.pipeline);
                 pass.set_bind_group(0, bind_group, &[]);
                 pass.draw(0..3, 0..1);
@@ -252,4 +293,22 @@ fn pipeline(device: &wgpu::Device, format: wgpu::TextureFormat) -> (wgpu::BindGr
         cache: None,
     });
     (layout, pipeline)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use egui::{Pos2, Rect};
+
+    #[test]
+    fn the_stage_lies_in_the_window() {
+        let rect = Rect::from_min_max(Pos2::new(100.0, 0.0), Pos2::new(400.0, 300.0));
+        let stage = Stage::from_points(rect, 2.0, (800, 600));
+        assert_eq!(stage, Stage { x: 200, y: 0, width: 600, height: 600 });
+        let whole = Stage { x: 0, y: 0, width: 10, height: 20 };
+        assert_eq!(Stage::from_points(Rect::NOTHING, 1.0, (10, 20)), whole);
+        assert_eq!(Stage::from_points(Rect::EVERYTHING, 1.0, (10, 20)), whole);
+        assert_eq!(Stage::from_points(rect, 1.0, (50, 20)), Stage { x: 0, y: 0, width: 50, height: 20 });
+        assert_eq!(Stage::from_points(Rect::EVERYTHING, 1.0, (0, 0)).width, 1);
+    }
 }

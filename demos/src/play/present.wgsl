@@ -1,4 +1,4 @@
-// Draws the finished picture over the whole window: one triangle, bilinear, bytes as they are (sRGB in, sRGB out).
+// Draws the finished picture over the viewport: one triangle, bilinear, bytes as they are (sRGB in, sRGB out).
 
 @group(0) @binding(0) var picture: texture_2d<f32>;
 @group(0) @binding(1) var picture_sampler: sampler;

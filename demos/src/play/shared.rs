@@ -24,7 +24,7 @@ pub struct Controls {
     pub target: Option<Target>,
     /// Counts up to start the target anew.
     pub restarts: u32,
-    /// Settings of the picture; its size is the window's, times the scale.
+    /// Settings of the picture; its size is `window`, times the scale.
     pub settings: RenderSettings,
     /// What the settings were at the start, for switching a stage back on.
     pub initial: RenderSettings,
@@ -38,7 +38,7 @@ pub struct Controls {
     pub steps: u32,
     /// Size of the picture.
     pub scale: Scale,
-    /// Size of the window in pixels.
+    /// Size in pixels of the part of the window that shows the picture.
     pub window: (u32, u32),
     /// The window is closing.
     pub quit: bool,

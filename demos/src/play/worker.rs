@@ -6,7 +6,7 @@ use super::{
 };
 use crate::cli::{Failure, Target, World, millis};
 use crate::scenes::SceneOptions;
-use catoptra_render_hybrid::{Layer, Renderer, image_io};
+use catoptra_render_hybrid::{Layer, MomentOptions, Renderer, image_io};
 use std::{
     sync::Arc,
     time::{Duration, Instant},
@@ -140,10 +140,16 @@ impl Playing {
         settings.keep_layers = controls.layer != Layer::Final;
         let side = |pixels: u32| ((pixels as f32 * share) as u32).clamp(1, 16384);
         (settings.width, settings.height) = (side(controls.window.0), side(controls.window.1));
+        if let Scale::Hold(_) = controls.scale {
+            settings.moments = scaled(settings.moments, share);
+        }
         let frame = renderer.render(self.world.scene(), &settings)?;
         let shown = frame.layer(controls.layer).unwrap_or(&frame.image);
         let srgb8 = image_io::srgb8_from_layer(controls.layer, shown, controls.exposure_ev);
-        let rgba8 = srgb8.chunks_exact(3).flat_map(|p| [p[0], p[1], p[2], 255]).collect();
+        let mut rgba8 = vec![255; srgb8.len() / 3 * 4];
+        for (to, from) in rgba8.chunks_exact_mut(4).zip(srgb8.chunks_exact(3)) {
+            to[..3].copy_from_slice(from);
+        }
         Ok(Picture {
             width: shown.width,
             height: shown.height,
@@ -155,6 +161,18 @@ impl Playing {
             stats: frame.stats,
         })
     }
+}
+
+/// Shadow maps as fine as the picture: halved with every halving of its side, down to a quarter. On the CPU lane they cost
+/// as much as a picture of their own size.
+fn scaled(moments: MomentOptions, share: f32) -> MomentOptions {
+    let divisor = match share {
+        s if s > 0.71 => 1,
+        s if s > 0.36 => 2,
+        _ => 4,
+    };
+    let part = |size: u32| (size / divisor).max(size.min(128));
+    MomentOptions { size: part(moments.size), face_size: part(moments.face_size), ..moments }
 }
 
 /// Chooses the share of the window's side that is drawn, so that the frame rate holds.

@@ -129,3 +129,6 @@ pub fn build(name: &str, options: &SceneOptions) -> Result<App, BuildError> {
         _ => Err(BuildError::UnknownScene(name.to_string())),
     }
 }
+
+#[cfg(test)]
+mod tests;

@@ -22,7 +22,7 @@ pub fn build() -> App {
 
     let light = sway(Vec3::new(-0.2, 2.5, 0.5), Vec3::new(0.9, 0.08, 0.5), [7.0, 5.0, 9.0], [0.4, 0.0, 1.2]);
     let aim = sway(Vec3::new(-0.3, 0.3, -0.7), Vec3::new(0.7, 0.2, 0.5), [7.0, 6.0, 9.0], [0.0, 0.0, 0.6]);
-    stage.spot(looking(light, aim), Vec3::new(17.0, 15.0, 12.2), 0.08, 26.0, 44.0);
+    stage.spot(looking(light, aim), Vec3::new(23.0, 20.5, 16.8), 0.08, 30.0, 54.0);
 
     let eye = sway(Vec3::new(0.0, 1.4, 2.8), Vec3::new(0.35, 0.12, 0.12), [11.0, 8.0, 13.0], [0.5, 0.0, 0.0]);
     let target = sway(Vec3::new(0.0, 1.0, -1.0), Vec3::new(0.12, 0.05, 0.0), [9.0, 7.0, 5.0], [0.0, 0.7, 0.0]);

@@ -36,7 +36,7 @@ pub fn build() -> App {
 
     let light = sway(Vec3::new(0.0, 2.5, 0.8), Vec3::new(0.9, 0.08, 0.5), [8.0, 5.0, 9.0], [0.2, 0.0, 1.0]);
     let aim = sway(Vec3::new(0.0, 0.3, -0.6), Vec3::new(0.7, 0.2, 0.4), [8.0, 6.0, 9.0], [0.0, 0.0, 0.5]);
-    stage.spot(looking(light, aim), Vec3::new(17.5, 15.4, 12.4), 0.08, 28.0, 46.0);
+    stage.spot(looking(light, aim), Vec3::new(23.5, 21.0, 17.2), 0.08, 32.0, 56.0);
 
     let eye = sway(Vec3::new(0.05, 1.25, 2.75), Vec3::new(0.45, 0.14, 0.12), [12.0, 8.0, 13.0], [-0.6, 0.0, 0.0]);
     let target = sway(Vec3::new(0.0, 0.8, -0.6), Vec3::new(0.25, 0.05, 0.0), [12.0, 7.0, 5.0], [-0.6, 0.7, 0.0]);

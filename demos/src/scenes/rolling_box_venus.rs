@@ -18,7 +18,7 @@ pub fn build(options: &SceneOptions) -> Result<App, BuildError> {
 
     let bronze = Material::mirror(Vec3::new(0.97, 0.90, 0.78), 0.88);
     match &options.statue {
-        Some(path) => files::spawn_statue(&mut stage, path, PLACE, HEIGHT, bronze)?,
+        Some(path) => files::spawn_statue(&mut stage, path, PLACE, HEIGHT, 1.4, bronze)?,
         None => {
             let meshes = statue::statue_meshes(HEIGHT);
             let mirror = stage.material(bronze);
@@ -34,14 +34,14 @@ pub fn build(options: &SceneOptions) -> Result<App, BuildError> {
     let half = Vec3::splat(0.25);
     let mesh = stage.mesh(shapes::cuboid(half, room::SIX_COLORS));
     let matte = stage.material(Material::lambert(Vec3::ONE));
-    let mut body = TippingBox::new(half, Vec3::new(-0.95, 0.0, 0.3), room::area([-1.7, -1.8], [1.4, 0.9]), 0);
+    let mut body = TippingBox::new(half, Vec3::new(-0.95, 0.0, -0.7), room::area([-1.7, -1.8], [1.4, 0.9]), 3);
     body.obstacles.push(room::area([PLACE.x - GROUND, PLACE.z - GROUND], [PLACE.x + GROUND, PLACE.z + GROUND]));
     body.kick = 1.15;
     stage.body(mesh, matte, body);
 
     let light = sway(Vec3::new(-0.4, 2.55, 1.2), Vec3::new(0.9, 0.06, 0.4), [8.0, 5.0, 9.0], [0.3, 0.0, 1.0]);
     let aim = sway(Vec3::new(0.0, 0.6, -0.7), Vec3::new(0.6, 0.2, 0.3), [8.0, 6.0, 9.0], [0.0, 0.0, 0.5]);
-    stage.spot(looking(light, aim), Vec3::new(18.5, 16.3, 13.2), 0.08, 30.0, 48.0);
+    stage.spot(looking(light, aim), Vec3::new(23.5, 21.0, 17.2), 0.08, 34.0, 58.0);
 
     let eye = sway(Vec3::new(0.05, 1.35, 2.55), Vec3::new(0.5, 0.12, 0.12), [12.0, 8.0, 13.0], [-0.5, 0.0, 0.0]);
     let target = sway(Vec3::new(0.0, 1.15, -0.4), Vec3::new(0.08, 0.05, 0.0), [12.0, 7.0, 5.0], [-0.5, 0.7, 0.0]);

@@ -9,6 +9,9 @@ use glam::Vec3;
 pub const HALF: Vec3 = Vec3::new(1.8, 1.4, 2.6);
 /// Middle of the room.
 pub const CENTER: Vec3 = Vec3::new(0.0, 1.4, 0.4);
+/// How far the drawn floor lies below the one that bodies rest on, metres. A resting box would else share the floor's plane,
+/// and through a glass bottom one would see now the one surface, now the other.
+const CONTACT_GAP: f32 = 5e-4;
 /// Radiance seen through the open side and in mirrors that face it: dusk.
 pub const DUSK: Vec3 = Vec3::new(0.10, 0.13, 0.19);
 
@@ -26,7 +29,7 @@ const WALLS: [Vec3; 6] = [
 fn mesh() -> Mesh {
     let local = shapes::open_room(HALF, WALLS);
     let data = MeshData {
-        positions: local.positions().iter().map(|&p| p + CENTER).collect(),
+        positions: local.positions().iter().map(|&p| p + CENTER - Vec3::Y * CONTACT_GAP).collect(),
         normals: local.normals().to_vec(),
         colors: local.colors().to_vec(),
         triangles: local.triangles().to_vec(),

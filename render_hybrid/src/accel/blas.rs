@@ -1,6 +1,7 @@
 //! A mesh's own tree, in object space.
 
-use super::node::{Bounds, EMPTY, LEAF, Node8, Tri8};
+use super::kdtree::KdTree;
+use super::node::{BLOCK, Bounds, EMPTY, LEAF, LEN_SHIFT, Node8, Tri8};
 use super::wide::{CollapseCosts, WideTree, collapse, median_tree};
 use crate::BlasKind;
 use catoptra_engine::mesh::Mesh;
@@ -14,13 +15,18 @@ pub(crate) struct Blas {
     pub nodes: Vec<Node8>,
     pub blocks: Vec<Tri8>,
     pub root: u32,
+    /// The kd-tree over the blocks instead of nodes, for `BlasKind::KdTree`.
+    pub kd: Option<KdTree>,
     pub bounds: Bounds,
     /// Greatest absolute coordinate.
     pub extent: f32,
 }
 
 /// Against one visit of a wide node: see `CollapseCosts`.
-const COSTS: CollapseCosts = CollapseCosts { max_leaf: 8, leaf: 0.6, primitive: 0.12 };
+const COSTS: CollapseCosts = CollapseCosts { max_leaf: 8, leaf: 0.5, primitive: 0.05 };
+
+/// Share of nodes that are tried elsewhere in the tree in each round.
+const REINSERTION: f32 = 0.1;
 
 /// Coordinates beyond this overflow the builder's surface areas; such meshes get the median tree.
 const MAX_BUILDER_COORDINATE: f32 = 1e15;
@@ -28,10 +34,13 @@ const MAX_BUILDER_COORDINATE: f32 = 1e15;
 impl Blas {
     /// The tree of nothing.
     pub fn vacant() -> Self {
-        Self { nodes: Vec::new(), blocks: Vec::new(), root: EMPTY, bounds: Bounds::EMPTY, extent: 0.0 }
+        Self { nodes: Vec::new(), blocks: Vec::new(), root: EMPTY, kd: None, bounds: Bounds::EMPTY, extent: 0.0 }
     }
 
-    pub fn build(mesh: &Mesh, _kind: BlasKind) -> Self {
+    pub fn build(mesh: &Mesh, kind: BlasKind) -> Self {
+        if kind == BlasKind::KdTree {
+            return Self::build_kd(mesh);
+        }
         let bounds = Bounds::from(mesh.bounds_object());
         let boxes: Vec<Aabb> =
             (0..mesh.triangles().len() as u32).map(|i| Aabb::from_points(&mesh.corners(i).map(Vec3A::from))).collect();
@@ -44,7 +53,7 @@ impl Blas {
                 SortPrecision::U64,
                 3,
             );
-            ReinsertionOptimizer::default().run(&mut bvh2, 0.15, None);
+            ReinsertionOptimizer::default().run(&mut bvh2, REINSERTION, None);
             collapse(&bvh2.nodes, &bvh2.primitive_indices, COSTS)
         } else {
             None
@@ -56,7 +65,60 @@ impl Blas {
         Self::from_tree(mesh, tree)
     }
 
+    /// Follows moved vertices: blocks and boxes are rewritten, the tree keeps its shape. False for a kd-tree, whose planes
+    /// cannot follow. `mesh` has the triangles that the tree was built for.
+    pub fn refit(&mut self, mesh: &Mesh) -> bool {
+        if self.kd.is_some() {
+            return false;
+        }
+        self.bounds = Bounds::from(mesh.bounds_object());
+        self.extent = self.bounds.extent();
+        let mut boxes = Vec::with_capacity(self.blocks.len());
+        for block in &mut self.blocks {
+            let mut b = Bounds::EMPTY;
+            for lane in 0..block.len() {
+                let prim = block.prim[lane];
+                let corners = mesh.corners(prim);
+                block.set(lane, corners, prim);
+                for p in corners {
+                    b = b.union(Bounds { min: p.to_array(), max: p.to_array() });
+                }
+            }
+            boxes.push(b);
+        }
+        // Children come after their parents.
+        for n in (0..self.nodes.len()).rev() {
+            for slot in 0..8 {
+                let child = self.nodes[n].child[slot];
+                if child != EMPTY {
+                    let inner = child & LEAF == 0;
+                    let b = if inner { self.nodes[child as usize].bounds() } else { boxes[(child & BLOCK) as usize] };
+                    self.nodes[n].set_box(slot, &b);
+                }
+            }
+        }
+        true
+    }
+
+    fn build_kd(mesh: &Mesh) -> Self {
+        let (tree, blocks) = super::kdtree::build(mesh);
+        let bounds = tree.bounds;
+        Self { nodes: Vec::new(), blocks, root: EMPTY, kd: Some(tree), bounds, extent: bounds.extent() }
+    }
+
     fn from_tree(mesh: &Mesh, tree: WideTree) -> Self {
+        assert!(tree.leaves.len() < BLOCK as usize, "a mesh of at most 2^28 leaves");
+        let refer = |child: u32| {
+            if child == EMPTY || child & LEAF == 0 {
+                return child;
+            }
+            child | (tree.leaves[(child & !LEAF) as usize].as_slice().len() as u32 - 1) << LEN_SHIFT
+        };
+        let mut nodes = tree.nodes;
+        for node in &mut nodes {
+            node.child = node.child.map(refer);
+        }
+        let root = refer(tree.root);
         let blocks = tree
             .leaves
             .iter()
@@ -69,11 +131,14 @@ impl Blas {
             })
             .collect();
         let bounds = Bounds::from(mesh.bounds_object());
-        Self { nodes: tree.nodes, blocks, root: tree.root, bounds, extent: bounds.extent() }
+        Self { nodes, blocks, root, kd: None, bounds, extent: bounds.extent() }
     }
 
     /// What is wrong with the tree, if anything: references, boxes, and that every triangle is there.
     pub fn validate(&self, mesh: &Mesh) -> Result<(), String> {
+        if let Some(tree) = &self.kd {
+            return tree.validate(mesh, &self.blocks);
+        }
         let mut seen = vec![false; mesh.triangles().len()];
         let mut nodes_seen = 0;
         let mut todo = Vec::new();
@@ -85,7 +150,10 @@ impl Blas {
                 return Err(format!("deeper than {}", super::node::MAX_DEPTH));
             }
             if child & LEAF != 0 {
-                let block = self.blocks.get((child & !LEAF) as usize).ok_or("a leaf names no block")?;
+                let block = self.blocks.get((child & BLOCK) as usize).ok_or("a leaf names no block")?;
+                if block.len() != ((child & !LEAF) >> LEN_SHIFT) as usize + 1 {
+                    return Err("a leaf's length is wrong".into());
+                }
                 for lane in 0..block.len() {
                     let prim = block.prim[lane];
                     let corners = [0, 1, 2].map(|v| glam::Vec3::from(block.corner(v, lane)));

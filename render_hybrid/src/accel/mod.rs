@@ -7,6 +7,7 @@
 
 mod blas;
 mod instance;
+mod kdtree;
 mod node;
 mod ray;
 mod ray_space;
@@ -21,7 +22,9 @@ mod world;
 pub use ray::{Hit, Ray};
 
 use crate::{BlasKind, RenderError, SimdLevel};
+use catoptra_engine::mesh::Mesh;
 use catoptra_engine::render_scene::RenderScene;
+use std::sync::Arc;
 
 /// How an [`Accel`] is made. Nothing here changes a hit.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -81,6 +84,14 @@ impl Accel {
         self.world.update(scene)
     }
 
+    /// Lets the tree of a mesh follow moved vertices without a build: `new` has the same triangles as `old`. Hits are those of
+    /// a fresh build; only speed suffers where the shape has changed much. Give scenes that name `new` from then on.
+    ///
+    /// Returns false, and changes nothing, where `old` has no tree here, the triangles differ, or the tree is a kd-tree.
+    pub fn refit_mesh(&mut self, old: &Arc<Mesh>, new: &Arc<Mesh>) -> bool {
+        self.world.refit_mesh(old, new)
+    }
+
     /// First thing that the ray meets at `t_min < t < t_max`, or [`Hit::MISS`]. A ray with a non-finite origin or direction,
     /// or a zero direction, misses.
     #[inline]
@@ -126,8 +137,8 @@ impl Accel {
     pub fn stats(&self) -> AccelStats {
         let trees = &self.world.trees;
         AccelStats {
-            trees: trees.iter().filter(|t| t.root != node::EMPTY).count() as u32,
-            blas_nodes: trees.iter().map(|t| t.nodes.len() as u32).sum(),
+            trees: trees.iter().filter(|t| !t.blocks.is_empty()).count() as u32,
+            blas_nodes: trees.iter().map(|t| (t.nodes.len() + t.kd.as_ref().map_or(0, |k| k.nodes.len())) as u32).sum(),
             blocks: trees.iter().map(|t| t.blocks.len() as u32).sum(),
             tlas_nodes: self.world.tlas.nodes.len() as u32,
         }

@@ -2,6 +2,10 @@
 
 /// Set in a child reference that names a leaf; the other bits are the leaf's number (triangle block or instance slot).
 pub(crate) const LEAF: u32 = 1 << 31;
+/// In a mesh tree's leaf reference: the block's number below, triangles in it less one above.
+pub(crate) const BLOCK: u32 = (1 << LEN_SHIFT) - 1;
+/// See [`BLOCK`].
+pub(crate) const LEN_SHIFT: u32 = 28;
 /// Child reference of an empty slot, and the root of an empty tree. Its box is inverted, so no ray enters it.
 pub(crate) const EMPTY: u32 = u32::MAX;
 /// Children a node and triangles a block.

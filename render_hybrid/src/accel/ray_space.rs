@@ -9,7 +9,7 @@
 pub(crate) const PAD: f32 = 1.0 / 131_072.0;
 
 /// Direction components below this fraction of the greatest are raised to it for box tests.
-const LEAST_SLOPE: f32 = 1.0 / ((1u64 << 40) as f32);
+pub(crate) const LEAST_SLOPE: f32 = 1.0 / ((1u64 << 40) as f32);
 
 /// Ray with everything that nodes and triangles of one space need.
 #[derive(Clone, Copy, Debug)]

@@ -192,6 +192,28 @@ fn bits(h: &Hit) -> [u32; 5] {
     [h.t.to_bits(), h.u.to_bits(), h.v.to_bits(), h.instance_id, h.primitive_id]
 }
 
+/// The same triangle test over all triangles, one by one: trees must not change a bit.
+fn without_trees(scene: &RenderScene, ray: &Ray) -> Hit {
+    let mut best = Hit::MISS;
+    for (id, instance) in scene.instances.iter().enumerate() {
+        let Some((record, _)) = instance::InstanceRecord::new(instance, id as u32, 0, true) else { continue };
+        let mesh = &scene.meshes[instance.mesh as usize];
+        let (o, d) = record.to_object(ray.origin.to_array(), ray.direction.to_array());
+        let space = ray_space::RaySpace::new(o, d, node::Bounds::from(mesh.bounds_object()).extent(), 1.0);
+        for prim in 0..mesh.triangles().len() as u32 {
+            let corners = mesh.corners(prim).map(|p| p.to_array());
+            if let Some((t, u, v)) = triangle::intersect(&space, corners)
+                && ray.t_min < t
+                && t < ray.t_max
+                && t < best.t
+            {
+                best = Hit { t, u, v, instance_id: id as u32, primitive_id: prim };
+            }
+        }
+    }
+    best
+}
+
 /// All structures agree bit for bit, single, together and in occlusion, and with the oracle.
 fn agree(scene: &RenderScene, rays: &[Ray], oracle: bool) {
     let all = structures(scene);
@@ -207,6 +229,9 @@ fn agree(scene: &RenderScene, rays: &[Ray], oracle: bool) {
             assert_eq!(accel.occluded(ray), reference[i].is_hit(), "{name}: ray {i} {ray:?} occluded");
             assert_eq!(occluded[i], reference[i].is_hit(), "{name}: ray {i} {ray:?} occluded in a batch");
         }
+    }
+    for (ray, hit) in rays.iter().zip(&reference).step_by(5) {
+        assert_eq!(bits(hit), bits(&without_trees(scene, ray)), "{ray:?} without trees");
     }
     if oracle {
         for (ray, hit) in rays.iter().zip(&reference) {
@@ -552,6 +577,64 @@ fn edits_equal_a_fresh_structure() {
     s.structure_revision = s.revision;
     accel.update(&s);
     accel.validate().unwrap();
+}
+
+#[test]
+fn refitted_meshes_equal_fresh_ones() {
+    let mut r = Random(13);
+    let old = soup(&mut r, 300, 0.3);
+    let moved = old.positions().iter().map(|p| *p * 1.3 + Vec3::new(0.1, -0.2, p.x * p.y)).collect();
+    let new = mesh(moved, old.triangles().to_vec());
+    let places = vec![(0, pose(&mut r, Vec3::splat(0.5))), (0, pose(&mut r, Vec3::splat(0.7)))];
+    let mut accel = Accel::new(AccelOptions::default()).unwrap();
+    let mut s = scene(vec![old.clone()], places);
+    accel.update(&s);
+    assert!(accel.refit_mesh(&old, &new));
+    accel.validate().unwrap();
+    s.meshes[0] = new.clone();
+    let mut fresh = Accel::new(AccelOptions::default()).unwrap();
+    fresh.update(&s);
+    let rays = random_rays(&mut r, 2000, 2.0);
+    for ray in &rays {
+        assert_eq!(bits(&accel.closest_hit(ray)), bits(&fresh.closest_hit(ray)));
+    }
+    s.begin_revision();
+    s.structure_revision = s.revision;
+    assert_eq!(accel.update(&s).blas_builds, 0);
+    assert!(!accel.refit_mesh(&old, &new), "the old mesh is gone");
+    let other = soup(&mut r, 299, 0.3);
+    assert!(!accel.refit_mesh(&new, &other), "other triangles");
+}
+
+/// One hash over builds on 1 to 8 threads, every level, kind, single and together.
+#[test]
+fn one_hash_of_hits() {
+    let mut r = Random(14);
+    let meshes = vec![soup(&mut r, 5000, 0.1), lump(&mut r, 30, 40)];
+    let places =
+        vec![(0, Affine3::IDENTITY), (1, pose(&mut r, Vec3::new(0.3, 0.4, -0.2))), (1, pose(&mut r, Vec3::splat(0.2)))];
+    let s = scene(meshes, places);
+    // Half of them as a camera sends them, in tiles; half at random.
+    let mut rays = random_rays(&mut r, 20_000, 2.0);
+    for i in 0..20_000u32 {
+        let (tile, at) = (i / 16, i % 16);
+        let (x, y) = (tile % 35 * 4 + at % 4, tile / 35 * 4 + at / 4);
+        rays.push(Ray::new(Vec3::new(0.0, 0.1, 3.0), Vec3::new(x as f32 / 70.0 - 1.0, y as f32 / 70.0 - 1.0, -2.0)));
+    }
+    let mut hashes = std::collections::BTreeMap::new();
+    for threads in [1, 2, 3, 8] {
+        let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+        for (name, accel) in pool.install(|| structures(&s)) {
+            let mut hits = vec![Hit::MISS; rays.len()];
+            accel.closest_hits(&rays, &mut hits);
+            let bytes = |hits: &[Hit]| hits.iter().flat_map(bits).flat_map(u32::to_le_bytes).collect::<Vec<u8>>();
+            let together = xxhash_rust::xxh3::xxh3_64(&bytes(&hits));
+            let single: Vec<Hit> = rays.iter().map(|r| accel.closest_hit(r)).collect();
+            assert_eq!(together, xxhash_rust::xxh3::xxh3_64(&bytes(&single)), "{name}");
+            hashes.entry(together).or_insert(Vec::new()).push(format!("{name} {threads}"));
+        }
+    }
+    assert_eq!(hashes.len(), 1, "{hashes:?}");
 }
 
 #[test]

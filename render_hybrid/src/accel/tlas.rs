@@ -89,6 +89,8 @@ impl Tlas {
         self.parent = vec![NOWHERE; self.nodes.len()];
         self.depth = vec![0; self.nodes.len()];
         self.is_dirty = vec![false; self.nodes.len()];
+        // Marks of the old tree name nodes that may be gone.
+        self.dirty.iter_mut().for_each(Vec::clear);
         self.area = 0.0;
         // Children come after their parents here.
         for n in 0..self.nodes.len() {

@@ -8,6 +8,7 @@
 //!
 //! Barycentrics come from the same edge functions where they are well conditioned, else from the double-precision ones.
 
+#[cfg(test)]
 use super::ray_space::RaySpace;
 
 /// |det| outside of `DET_MIN..=DET_MAX`: double precision, so that nothing under- or overflows.
@@ -21,6 +22,7 @@ pub(crate) const CONDITION: f32 = 0.25;
 /// Distance and barycentric weights of the second and third vertex.
 pub(crate) type Tuv = (f32, f32, f32);
 
+#[cfg(test)]
 /// Sheared (x, y) and unsheared main-axis distance of a vertex.
 #[inline(always)]
 pub(crate) fn sheared(ray: &RaySpace, p: [f32; 3]) -> [f32; 3] {
@@ -48,7 +50,8 @@ pub(crate) fn exact(a: [f32; 3], b: [f32; 3], c: [f32; 3], sz: f32) -> Option<Tu
     Some((t as f32, (v / det) as f32, (w / det) as f32))
 }
 
-/// The whole test for one triangle; `None` where the line misses. The range of t is the caller's.
+#[cfg(test)]
+/// The whole test for one triangle, lane-free: what the kernels must equal bit for bit; `None` where the line misses. The range of t is the caller's.
 #[inline(always)]
 pub(crate) fn intersect(ray: &RaySpace, corners: [[f32; 3]; 3]) -> Option<Tuv> {
     let [a, b, c] = corners.map(|p| sheared(ray, p));

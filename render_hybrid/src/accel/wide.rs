@@ -68,14 +68,14 @@ pub(crate) fn collapse(nodes: &[Bvh2Node], primitives: &[u32], costs: CollapseCo
         let leaf = |c: u32| {
             if c <= costs.max_leaf { area * (costs.leaf + costs.primitive * c as f32) } else { f32::INFINITY }
         };
-        if node.is_leaf() {
-            count[n] = node.prim_count;
-            cost[n] = [leaf(node.prim_count); 7];
+        let (l, r) = (node.first_index as usize, node.first_index as usize + 1);
+        count[n] = if node.is_leaf() { node.prim_count } else { count[l] + count[r] };
+        // Pairs stay together: half of all nodes are done with here.
+        if node.is_leaf() || count[n] <= costs.max_leaf.min(2) {
+            cost[n] = [leaf(count[n]); 7];
             pick[n][7] = u8::MAX;
             continue;
         }
-        let (l, r) = (node.first_index as usize, node.first_index as usize + 1);
-        count[n] = count[l] + count[r];
         let (cl, cr) = (cost[l], cost[r]);
         let split = |children: usize| {
             let mut best = (f32::INFINITY, 1u8);

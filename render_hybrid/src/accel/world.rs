@@ -309,6 +309,31 @@ impl World {
         self.follow.boxes[s] = self.box_of(instance, blas);
     }
 
+    /// The tree of `old` follows `new`, which has the same triangles. False where it cannot.
+    pub fn refit_mesh(&mut self, old: &Arc<Mesh>, new: &Arc<Mesh>) -> bool {
+        let Some(&tree) = self.follow.tree_of.get(&(Arc::as_ptr(old) as usize)) else { return false };
+        if old.triangles() != new.triangles() || !self.trees[tree as usize].refit(new) {
+            return false;
+        }
+        self.follow.tree_of.remove(&(Arc::as_ptr(old) as usize));
+        self.follow.tree_of.insert(Arc::as_ptr(new) as usize, tree);
+        self.follow.meshes[tree as usize] = Some(new.clone());
+        for id in 0..self.follow.slot_of.len() {
+            let slot = self.follow.slot_of[id];
+            if self.records[slot as usize].blas == tree {
+                let s = self.follow.slots[slot as usize];
+                let instance =
+                    Instance { stable_id: s.stable_id, mesh: 0, material: 0, world_from_object: s.world_from_object };
+                if !self.place(slot, id as u32, &instance) {
+                    self.rebuild(&mut UpdateStats::default());
+                }
+            }
+        }
+        self.tlas.settle();
+        self.only = self.only_one();
+        true
+    }
+
     pub fn set_shadow_casters(&mut self, casts: impl Fn(u32) -> bool) {
         for (id, &slot) in self.follow.slot_of.iter().enumerate() {
             self.records[slot as usize].casts_shadow = casts(id as u32);

@@ -134,8 +134,19 @@ impl Gpu {
         if let Some(missing) = missing(&device.limits()) {
             return Err(RenderError::Unavailable { choice: "the given device".into(), missing });
         }
+        Ok(Self::lend(device, queue))
+    }
+
+    /// [`Self::borrow`] for passes that need nothing special of the device.
+    pub fn lend(device: wgpu::Device, queue: wgpu::Queue) -> Self {
         let summary = AdapterSummary::new(&device.adapter_info());
-        Ok(Self::with(device, queue, summary))
+        Self::with(device, queue, summary)
+    }
+
+    /// Makes every further step fail with `message`, as a reported fault of the device does.
+    pub fn report_fault(&self, message: &str) {
+        let mut slot = self.fault.lock().unwrap_or_else(|e| e.into_inner());
+        slot.get_or_insert_with(|| message.to_string());
     }
 
     fn with(device: wgpu::Device, queue: wgpu::Queue, summary: AdapterSummary) -> Self {

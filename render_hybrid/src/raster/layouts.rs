@@ -347,12 +347,11 @@ mod tests {
         let text = super::super::shader::stitch(pass);
         let module = naga::front::wgsl::parse_str(&text).unwrap_or_else(|e| panic!("{}", e.emit_to_string(&text)));
         for (_, t) in module.types.iter() {
-            if let (Some(n), naga::TypeInner::Struct { members, span }) = (&t.name, &t.inner) {
-                if n == name {
-                    let members =
-                        members.iter().map(|m| (m.name.clone().unwrap_or_default(), m.offset as usize)).collect();
-                    return (members, *span as usize);
-                }
+            if let naga::TypeInner::Struct { members, span } = &t.inner
+                && t.name.as_deref() == Some(name)
+            {
+                let members = members.iter().map(|m| (m.name.clone().unwrap_or_default(), m.offset as usize)).collect();
+                return (members, *span as usize);
             }
         }
         panic!("{pass} has no struct {name}");

@@ -13,6 +13,7 @@ mod compose;
 mod device;
 mod direct;
 mod gbuffer;
+mod host_view;
 mod indirect;
 mod layouts;
 mod moments;
@@ -29,6 +30,7 @@ mod timer;
 use catoptra_engine::RenderScene;
 
 pub use device::{AdapterSummary, list_adapters};
+pub(crate) use host_view::HostView;
 
 use crate::{
     error::RenderError,
@@ -171,6 +173,15 @@ impl GpuRaster {
     /// The device, for embedders who draw beside this lane.
     pub fn device(&self) -> (&wgpu::Device, &wgpu::Queue) {
         (&self.gpu.device, &self.gpu.queue)
+    }
+
+    /// For tests: breaks the device as a driver would.
+    #[doc(hidden)]
+    pub fn inject_fault(&mut self, fault: testing::InjectedFault) {
+        match fault {
+            testing::InjectedFault::DeviceLost => self.gpu.device.destroy(),
+            testing::InjectedFault::OutOfMemory => self.gpu.report_fault("out of memory"),
+        }
     }
 
     /// Runs a step with all device errors caught.

@@ -10,6 +10,15 @@ use crate::error::RenderError;
 
 pub use super::shader::{PASSES, SHARED, stitch};
 
+/// What [`super::GpuRaster::inject_fault`] does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum InjectedFault {
+    /// The device is destroyed: every further call on it fails.
+    DeviceLost,
+    /// The device reports that its memory is full.
+    OutOfMemory,
+}
+
 /// A device for evaluating shader functions.
 pub struct ShaderProbe {
     gpu: Gpu,

@@ -145,7 +145,7 @@ impl PathTracer<'_> {
             slots[used] = vpl_at(&s, flux);
             used += 1;
             let d = sampling::cosine_direction(s.n_shading, bounce_sample(path.index, bounce, self.seed));
-            ray = Ray::new(s.offset_origin(d), d);
+            ray = s.leaving_ray(d);
             if s.n_geometric.dot(d) <= 0.0 {
                 break;
             }
@@ -176,7 +176,7 @@ impl PathTracer<'_> {
             .corners(t.primitive_id)
             .map(|p| instance.world_from_object.transform_point3(p));
         let n = (corners[1] - corners[0]).cross(corners[2] - corners[0]).normalize_or(Vec3::Y);
-        let side = if path.index % 2 == 0 { n } else { -n };
+        let side = if path.index.is_multiple_of(2) { n } else { -n };
         let s = surface_at(self.scene, self.normals, &Ray::new(corners[0] + side, -side), &hit);
         let flux = s.emission * (std::f32::consts::TAU * t.area / probability * share);
         vpl_at(&s, flux)

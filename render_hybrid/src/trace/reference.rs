@@ -19,7 +19,7 @@ use super::{
     whitted::split,
 };
 use crate::{
-    accel::{Accel, Ray},
+    accel::Accel,
     output::Image,
     settings::{GlassShadows, RenderSettings},
     twin::shading::{beer_lambert, reflect},
@@ -32,7 +32,8 @@ pub struct ReferenceOptions {
     pub width: u32,
     /// Picture height in pixels.
     pub height: u32,
-    /// Diffuse reflections before the last one to the camera path; 0: direct light only.
+    /// Diffuse reflections before the last one to the camera path; 0: direct light of the lights only, none of emissive
+    /// surfaces (which in the hybrid picture are a source of VPLs).
     pub bounces: u32,
     /// Most interfaces of mirror and glass on a path.
     pub max_depth: u32,
@@ -133,6 +134,7 @@ impl ReferenceAccumulator {
     ) -> u64 {
         let width = self.width as usize;
         let first = self.spp;
+        let emissive = scene.materials.iter().any(|m| m.emissive != Vec3::ZERO && !m.unlit);
         let [even, odd] = &mut self.sums;
         let rays = even
             .par_chunks_mut(width)
@@ -143,7 +145,8 @@ impl ReferenceAccumulator {
                 for x in 0..width {
                     for index in first..first + samples {
                         let pixel = (y * width + x) as u32;
-                        let mut path = Path { scene, normals, accel, options, pixel, index, dimension: 0, rays: 0 };
+                        let mut path =
+                            Path { scene, normals, accel, options, emissive, pixel, index, dimension: 0, rays: 0 };
                         let radiance = path.radiance(x as u32, y as u32);
                         rays += path.rays;
                         let sum = if index % 2 == 0 { &mut even[x] } else { &mut odd[x] };
@@ -167,6 +170,8 @@ struct Path<'a> {
     normals: &'a NormalMatrices,
     accel: &'a Accel,
     options: &'a ReferenceOptions,
+    /// Some surface emits.
+    emissive: bool,
     pixel: u32,
     index: u32,
     dimension: u32,
@@ -186,6 +191,9 @@ impl Path<'_> {
         let mut ray = camera_ray(&scene.camera, x as f32, y as f32, self.options.width, self.options.height);
         let (mut radiance, mut throughput) = (Vec3::ZERO, Vec3::ONE);
         let mut inside = MediumStack::default();
+        // Light from a surface arrives with no next-event step: it takes one diffuse reflection more to see the same bounces.
+        let last =
+            if self.emissive && self.options.bounces > 0 { self.options.bounces + 1 } else { self.options.bounces };
         let (mut diffuse_bounces, mut interfaces, mut crossed) = (0, 0, 0);
         loop {
             self.rays += 1;
@@ -206,10 +214,10 @@ impl Path<'_> {
             if diffuse_bounces == 0 || !m.unlit {
                 radiance += throughput * s.emission;
             }
-            if m.unlit {
+            if m.unlit || diffuse_bounces > self.options.bounces {
                 return radiance;
             }
-            radiance += throughput * self.from_lights(&s, m, -ray.direction, diffuse_bounces == 0);
+            radiance += throughput * self.next_event(&s, m, -ray.direction, diffuse_bounces == 0);
             if diffuse_bounces == 0 {
                 let ambient = s.base_color * scene.environment.ambient * (m.ambient * m.matte_weight());
                 radiance += throughput * ambient;
@@ -217,7 +225,7 @@ impl Path<'_> {
 
             // Choose one continuation in proportion to its weight: matte, reflected, transmitted.
             let matte = s.base_color * (m.diffuse * m.matte_weight());
-            let mut matte_weight = if diffuse_bounces < self.options.bounces { matte.element_sum() } else { 0.0 };
+            let mut matte_weight = if diffuse_bounces < last { matte.element_sum() } else { 0.0 };
             let traced = m.is_traced() && diffuse_bounces == 0 && interfaces < self.options.max_depth;
             let mut reflected_weight = 0.0;
             let mut transmitted_weight = 0.0;
@@ -230,7 +238,7 @@ impl Path<'_> {
                         return radiance;
                     }
                     inside = o.behind;
-                    ray = Ray::new(s.offset_origin(ray.direction), ray.direction);
+                    ray = s.leaving_ray(ray.direction);
                     continue;
                 }
                 reflected_weight = o.reflected.element_sum();
@@ -252,7 +260,7 @@ impl Path<'_> {
                 if s.n_geometric.dot(d) <= 0.0 {
                     return radiance;
                 }
-                ray = Ray::new(s.offset_origin(d), d);
+                ray = s.leaving_ray(d);
                 diffuse_bounces += 1;
                 inside = MediumStack::default();
                 continue;
@@ -261,12 +269,12 @@ impl Path<'_> {
             if choice < matte_weight + reflected_weight || transmitted_weight <= 0.0 {
                 throughput *= optics.reflected / reflected_weight;
                 let r = super::whitted::above_horizon(reflect(-ray.direction, s.n_shading), s.n_geometric);
-                ray = Ray::new(s.offset_origin(r), r);
+                ray = s.leaving_ray(r);
             } else {
                 throughput *= optics.transmitted / transmitted_weight;
                 let t = optics.transmitted_direction.expect("a weight over zero came with it");
                 inside = optics.behind;
-                ray = Ray::new(s.offset_origin(t), t);
+                ray = s.leaving_ray(t);
             }
             interfaces += 1;
             if throughput.max_element() < 1e-5 {
@@ -277,7 +285,7 @@ impl Path<'_> {
 
     /// Next-event estimation: one point on the disc of every light.
     /// * `highlight`: with the specular lobe (camera paths); without it the light is Lambertian, as VPLs are
-    fn from_lights(&mut self, s: &Surface, m: &Material, wo: Vec3, highlight: bool) -> Vec3 {
+    fn next_event(&mut self, s: &Surface, m: &Material, wo: Vec3, highlight: bool) -> Vec3 {
         let lambert = Material { specular: Vec3::ZERO, ..*m };
         let m = if highlight { m } else { &lambert };
         let mut sum = Vec3::ZERO;

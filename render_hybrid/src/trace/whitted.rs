@@ -152,18 +152,18 @@ fn spawn(ctx: &FrameContext, arriving: &Branch, surface: &Surface, out: &mut Vec
     };
     if optics.hidden {
         if arriving.crossed < 4 * ctx.settings.max_depth {
-            let ray = Ray::new(surface.offset_origin(d), d);
+            let ray = surface.leaving_ray(d);
             push(Branch { ray, inside: optics.behind, depth: arriving.depth, refraction: true, ..child });
         }
         return;
     }
     if optics.reflected != Vec3::ZERO {
         let r = above_horizon(reflect(-d, surface.n_shading), surface.n_geometric);
-        let ray = Ray::new(surface.offset_origin(r), r);
+        let ray = surface.leaving_ray(r);
         push(Branch { ray, weight: arriving.weight * optics.reflected, refraction: false, ..child });
     }
     if let Some(t) = optics.transmitted_direction {
-        let ray = Ray::new(surface.offset_origin(t), t);
+        let ray = surface.leaving_ray(t);
         let weight = arriving.weight * optics.transmitted;
         push(Branch { ray, weight, inside: optics.behind, refraction: true, ..child });
     }

@@ -115,17 +115,18 @@ mod tests {
     }
 
     #[test]
-    fn blinn_phong_reflects_at_most_what_arrives() {
-        // Albedo of the lobe at normal incidence by quadrature stays at or below 1 for common exponents.
-        for shininess in [1.0f32, 10.0, 100.0, 1000.0] {
+    fn blinn_phong_albedo_is_near_one() {
+        // Albedo of the lobe at normal incidence by quadrature. The common normalisation is an approximation: it passes 1 by up
+        // to 7.5% (at α = 10) and tends to 1 for sharp lobes.
+        for (shininess, most) in [(1.0f32, 1.03), (10.0, 1.08), (100.0, 1.02), (1000.0, 1.003)] {
             let (steps, mut sum) = (20_000, 0.0f64);
             for i in 0..steps {
                 let cos_o = (i as f32 + 0.5) / steps as f32;
                 let wo = Vec3::new((1.0 - cos_o * cos_o).sqrt(), 0.0, cos_o);
                 sum += f64::from(blinn_phong_lobe(Vec3::Z, Vec3::Z, wo, shininess) * cos_o) * std::f64::consts::TAU
-                    / steps as f64;
+                    / f64::from(steps);
             }
-            assert!(sum < 1.01, "albedo {sum} at shininess {shininess}");
+            assert!(sum > 0.5 && sum < most, "albedo {sum} at shininess {shininess}");
         }
     }
 }

@@ -368,7 +368,7 @@ mod tests {
         let vsm = chebyshev_upper_bound(mean(ShadowFilter::Vsm).xy(), 0.8, 2e-7, 0.0);
         let evsm = evsm_visibility(mean(ShadowFilter::Evsm4), 0.8, 2e-7, 0.0);
         assert!(vsm > 0.15, "the classic bleed: {vsm}");
-        assert!(evsm < 0.001, "{evsm}");
+        assert!(evsm < 0.002, "{evsm}");
         // Fully lit at its own depth.
         assert_eq!(evsm_visibility(Vec4::from(moments_of(ShadowFilter::Evsm4, 0.4)), 0.4, 2e-7, 0.2), 1.0);
     }

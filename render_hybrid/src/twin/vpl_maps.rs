@@ -254,17 +254,15 @@ mod tests {
     #[test]
     fn a_plane_never_shadows_itself_and_a_nearer_one_always_does() {
         // A map that sees only the plane y = -1 (or y = -0.7) from the origin.
-        for (height, expected) in [(1.0, 1.0), (0.7, 0.0)] {
-            let size = 16;
+        for (height, size, horizon, expected) in [(1.0, 16, -0.25, 1.0), (0.7, 64, -0.5, 0.0)] {
             let map: Vec<f32> = (0..size * size)
                 .map(|i| {
                     let c = Vec2::new(texel_center((i % size) as f32, size), texel_center((i / size) as f32, size));
                     (-octahedron_point(c).y / height).max(0.0)
                 })
                 .collect();
-            for d in directions().filter(|d| d.y < -0.25) {
-                let from_vpl = d / -d.y;
-                let v = vpl_visibility(&map, size, from_vpl, Vec3::Y);
+            for d in directions().filter(|d| d.y < horizon) {
+                let v = vpl_visibility(&map, size, d / -d.y, Vec3::Y);
                 assert!((v - expected).abs() < 1e-4, "towards {d}: {v} for {expected}");
             }
         }

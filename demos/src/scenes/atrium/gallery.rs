@@ -112,21 +112,10 @@ fn wall(b: &mut ShapeBuilder, bay: &Bay, storey: &Storey) {
     for k in 0..ARC {
         reveal(arc(k), arc(k + 1));
     }
-    for k in 0..ARC - 1 {
-        let (p, q, r) = (arc(0), arc(k + 1), arc(k + 2).min_y(spring));
-        if k + 2 <= ARC {
-            b.triangle([bay.at(p.0, p.1, back), bay.at(r.0, r.1, back), bay.at(q.0, q.1, back)], leaf);
-        }
-    }
-}
-
-trait MinY {
-    fn min_y(self, y: f32) -> Self;
-}
-impl MinY for (f32, f32) {
-    /// Keeps the arc's last point on the springing line.
-    fn min_y(self, y: f32) -> Self {
-        (self.0, self.1.max(y))
+    // The leaf's round top: a fan over the arc.
+    for k in 1..ARC {
+        let [p, q, r] = [arc(0), arc(k), arc(k + 1)].map(|(x, y)| bay.at(x, y, back));
+        b.triangle([p, r, q], leaf);
     }
 }
 

@@ -10,13 +10,13 @@ pub fn lathe(b: &mut ShapeBuilder, base: Vec3, profile: &[(f32, f32)], segments:
     let last = profile.len() - 1;
     let point = |i: usize| Vec2::new(profile[i].0, profile[i].1);
     let mut first = 0;
-    for i in 0..=last {
+    for (i, &(radius, height)) in profile.iter().enumerate() {
         let tangent = point((i + 1).min(last)) - point(i.saturating_sub(1));
         let n = Vec2::new(tangent.y, -tangent.x).normalize_or(Vec2::X);
         let ring = (0..segments).map(|s| {
             let (sin, cos) = math::sin_cos(TAU * s as f32 / segments as f32);
             let around = |radius: f32, y: f32| Vec3::new(radius * cos, y, -radius * sin);
-            (base + around(profile[i].0, profile[i].1), around(n.x, n.y))
+            (base + around(radius, height), around(n.x, n.y))
         });
         let at = b.vertices(ring, color);
         if i == 0 {

@@ -123,7 +123,7 @@ const BANNER: [usize; 2] = [16, 24];
 /// A banner that hangs over the balustrade of every second bay of the long sides. 768 triangles.
 pub fn banner(b: &mut ShapeBuilder, bay: &Bay) {
     let long_side = bay.out.z != 0.0;
-    if !long_side || bay.number % 2 != 0 {
+    if !long_side || !bay.number.is_multiple_of(2) {
         return;
     }
     let color = colors::BANNER[bay.number / 2 % 3];

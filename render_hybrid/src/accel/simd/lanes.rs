@@ -8,8 +8,6 @@
 /// # Safety
 /// Every method of a type requires the processor features of its level; `load` and `store` require `N` valid f32.
 pub(super) trait Lanes: Copy {
-    const N: usize;
-    const ALL: u32 = (1u64 << Self::N).wrapping_sub(1) as u32;
     unsafe fn splat(x: f32) -> Self;
     unsafe fn load(p: *const f32) -> Self;
     unsafe fn store(self, p: *mut f32);
@@ -30,12 +28,19 @@ pub(super) trait Lanes: Copy {
     unsafe fn eq(self, o: Self) -> u32;
     /// Lanes whose bit is set from `self`, the others from `o`.
     unsafe fn select(self, o: Self, mask: u32) -> Self;
+    /// Least of all lanes.
+    unsafe fn least(self) -> f32;
+    /// Greatest of all lanes.
+    unsafe fn greatest(self) -> f32;
 }
 
 /// Instruction-set level: its vectors.
 pub(super) trait Level {
     type W8: Lanes;
     type W16: Lanes;
+    /// Asks for a cache line that will be read soon.
+    #[inline(always)]
+    fn prefetch(_: *const u8) {}
 }
 
 /// Arrays, which the compiler turns into whatever vectors the target guarantees.
@@ -68,7 +73,6 @@ macro_rules! bits {
 }
 
 impl<const N: usize> Lanes for Array<N> {
-    const N: usize = N;
     #[inline(always)]
     unsafe fn splat(x: f32) -> Self {
         Self([x; N])
@@ -137,6 +141,14 @@ impl<const N: usize> Lanes for Array<N> {
             }
         }
         Self(out)
+    }
+    #[inline(always)]
+    unsafe fn least(self) -> f32 {
+        self.0.iter().fold(f32::INFINITY, |m, &x| if x < m { x } else { m })
+    }
+    #[inline(always)]
+    unsafe fn greatest(self) -> f32 {
+        self.0.iter().fold(f32::NEG_INFINITY, |m, &x| if x > m { x } else { m })
     }
 }
 

@@ -1,7 +1,9 @@
 //! The kernels: every level's code behind safe functions. This module alone holds unsafe code; the rest of `accel` is safe.
 #![allow(unsafe_code)]
 
+mod kd;
 mod lanes;
+mod packet;
 mod single;
 #[cfg(target_arch = "x86_64")]
 mod x86;
@@ -63,6 +65,10 @@ enum Usable {
     Scaled(Ray, f64),
 }
 
+/// Greatest direction components that the kernels take as they are.
+const MODERATE_MAX: f32 = (1u32 << 20) as f32;
+const MODERATE_MIN: f32 = 1.0 / MODERATE_MAX;
+
 #[inline(always)]
 fn usable(ray: &Ray) -> Usable {
     let (o, d) = (ray.origin, ray.direction);
@@ -71,8 +77,7 @@ fn usable(ray: &Ray) -> Usable {
         return Usable::No;
     }
     let m = d.abs().max_element();
-    const MODERATE: std::ops::RangeInclusive<f32> = (1.0 / ((1u32 << 20) as f32))..=((1u32 << 20) as f32);
-    if MODERATE.contains(&m) { Usable::Yes } else { rescaled(ray, m) }
+    if (MODERATE_MIN..=MODERATE_MAX).contains(&m) { Usable::Yes } else { rescaled(ray, m) }
 }
 
 #[cold]
@@ -124,6 +129,24 @@ macro_rules! level {
                 // SAFETY: the caller has the features.
                 unsafe { single::any::<$level>(world, ray) }
             }
+            $(#[target_feature(enable = $features)])?
+            pub(super) unsafe fn closest16(
+                world: &World,
+                rays: &[Ray; packet::RAYS],
+                hits: &mut [Hit; packet::RAYS],
+            ) -> bool {
+                // SAFETY: the caller has the features.
+                unsafe { packet::closest::<$level>(world, rays, hits) }
+            }
+            $(#[target_feature(enable = $features)])?
+            pub(super) unsafe fn any16(
+                world: &World,
+                rays: &[Ray; packet::RAYS],
+                hits: &mut [bool; packet::RAYS],
+            ) -> bool {
+                // SAFETY: the caller has the features.
+                unsafe { packet::any::<$level>(world, rays, hits) }
+            }
         }
     };
 }
@@ -163,14 +186,32 @@ pub(crate) fn any(level: Detected, world: &World, ray: &Ray) -> bool {
 
 /// Closest hits of many rays; neighbours in the slice are taken together where that pays.
 pub(crate) fn closest_many(level: Detected, world: &World, rays: &[Ray], hits: &mut [Hit]) {
-    for (ray, hit) in rays.iter().zip(hits) {
+    let (packets, rest) = rays.as_chunks::<{ packet::RAYS }>();
+    let (packet_hits, rest_hits) = hits.as_chunks_mut::<{ packet::RAYS }>();
+    for (rays, hits) in packets.iter().zip(packet_hits) {
+        if !dispatch!(level, closest16(world, rays, hits)) {
+            for (ray, hit) in rays.iter().zip(hits) {
+                *hit = closest(level, world, ray);
+            }
+        }
+    }
+    for (ray, hit) in rest.iter().zip(rest_hits) {
         *hit = closest(level, world, ray);
     }
 }
 
 /// Any hits of many rays.
 pub(crate) fn any_many(level: Detected, world: &World, rays: &[Ray], occluded: &mut [bool]) {
-    for (ray, hit) in rays.iter().zip(occluded) {
+    let (packets, rest) = rays.as_chunks::<{ packet::RAYS }>();
+    let (packet_hits, rest_hits) = occluded.as_chunks_mut::<{ packet::RAYS }>();
+    for (rays, hits) in packets.iter().zip(packet_hits) {
+        if !dispatch!(level, any16(world, rays, hits)) {
+            for (ray, hit) in rays.iter().zip(hits) {
+                *hit = any(level, world, ray);
+            }
+        }
+    }
+    for (ray, hit) in rest.iter().zip(rest_hits) {
         *hit = any(level, world, ray);
     }
 }

@@ -1,7 +1,8 @@
 //! One ray through the two levels.
 
 use super::lanes::{Lanes, Level};
-use crate::accel::node::{EMPTY, LEAF, Node8, STACK, Tri8};
+use crate::accel::blas::Blas;
+use crate::accel::node::{BLOCK, EMPTY, LEAF, Node8, STACK, Tri8};
 use crate::accel::ray_space::RaySpace;
 use crate::accel::triangle::{CONDITION, DET_MAX, DET_MIN, exact};
 use crate::accel::world::World;
@@ -15,11 +16,13 @@ struct Waiting {
 }
 
 /// What a traversal does at its leaves.
-trait Visitor<L: Level> {
+pub(super) trait Visitor<L: Level> {
     /// Closest hit: visit near children first.
     const ORDERED: bool;
     /// Nodes beyond it are left out.
     fn limit(&self) -> f32;
+    /// A leaf will be visited soon.
+    fn soon(&self, leaf: u32);
     /// Returns true to end the traversal.
     ///
     /// # Safety
@@ -32,7 +35,13 @@ trait Visitor<L: Level> {
 /// # Safety
 /// The level's features; `nodes` is a tree as `validate` wants it, at most `MAX_DEPTH` deep, that holds `root`.
 #[inline(always)]
-unsafe fn walk<L: Level, V: Visitor<L>>(nodes: &[Node8], root: u32, ray: &RaySpace, t_min: f32, v: &mut V) -> bool {
+pub(super) unsafe fn walk<L: Level, V: Visitor<L>>(
+    nodes: &[Node8],
+    root: u32,
+    ray: &RaySpace,
+    t_min: f32,
+    v: &mut V,
+) -> bool {
     let mut stack = [MaybeUninit::<Waiting>::uninit(); STACK];
     // SAFETY: the stack holds 7 waiting children a level for MAX_DEPTH levels and one more node's; node indices and plane
     // numbers are in range by the tree's invariants; features by the caller.
@@ -70,6 +79,17 @@ unsafe fn walk<L: Level, V: Visitor<L>>(nodes: &[Node8], root: u32, ray: &RaySpa
                 let first = mask.trailing_zeros() as usize;
                 mask &= mask - 1;
                 let child = |i: usize| *node.child.as_ptr().add(i);
+                let soon = |v: &V, c: u32| {
+                    if c & LEAF != 0 {
+                        v.soon(c & !LEAF);
+                    } else {
+                        let p = nodes.add(c as usize).cast::<u8>();
+                        L::prefetch(p);
+                        L::prefetch(p.add(64));
+                        L::prefetch(p.add(128));
+                        L::prefetch(p.add(192));
+                    }
+                };
                 if mask == 0 {
                     current = child(first);
                     continue 'node;
@@ -84,6 +104,8 @@ unsafe fn walk<L: Level, V: Visitor<L>>(nodes: &[Node8], root: u32, ray: &RaySpa
                 if b.t < a.t {
                     std::mem::swap(&mut a, &mut b);
                 }
+                soon(v, a.child);
+                soon(v, b.child);
                 if mask == 0 {
                     *stack.add(top) = b;
                     top += 1;
@@ -98,6 +120,7 @@ unsafe fn walk<L: Level, V: Visitor<L>>(nodes: &[Node8], root: u32, ray: &RaySpa
                 while mask != 0 {
                     let c = at(mask.trailing_zeros() as usize);
                     mask &= mask - 1;
+                    soon(v, c.child);
                     let mut i = top;
                     if V::ORDERED {
                         while i > base && (*stack.add(i - 1)).t < c.t {
@@ -127,28 +150,75 @@ unsafe fn walk<L: Level, V: Visitor<L>>(nodes: &[Node8], root: u32, ray: &RaySpa
     }
 }
 
-/// Candidate lanes of a block: (t, u, v) and the lanes that are hits of the whole line; NaN where they are not.
+/// Walks a mesh's tree of either kind. Returns true where the visitor ended it.
+///
+/// # Safety
+/// As for [`walk`].
+#[inline(always)]
+pub(super) unsafe fn tree<L: Level, V: Visitor<L>>(blas: &Blas, ray: &RaySpace, t_min: f32, v: &mut V) -> bool {
+    // SAFETY: by the caller.
+    unsafe {
+        match &blas.kd {
+            None => walk::<L, _>(&blas.nodes, blas.root, ray, t_min, v),
+            Some(tree) => super::kd::walk::<L, _>(tree, ray, t_min, v),
+        }
+    }
+}
+
+/// What the triangle test needs of a ray: the origin by (kx, ky, kz), the shear, and the scale of its error bounds.
+#[derive(Clone, Copy)]
+pub(super) struct Sheared {
+    pub k: [usize; 3],
+    pub origin_k: [f32; 3],
+    pub shear: [f32; 3],
+    pub reach: f32,
+}
+
+impl Sheared {
+    #[inline(always)]
+    pub(super) fn of(ray: &RaySpace) -> Self {
+        let [kx, ky, kz] = ray.k;
+        let o = ray.origin;
+        Self { k: ray.k, origin_k: [o[kx], o[ky], o[kz]], shear: ray.shear, reach: ray.reach }
+    }
+}
+
+/// Translated and sheared vertex of eight triangles; z is unsheared.
+///
+/// # Safety
+/// The level's features; `base` points to a block's vertices.
+#[inline(always)]
+unsafe fn corner8<W: Lanes>(base: *const f32, vertex: usize, k: [usize; 3], o: [W; 3], sx: W, sy: W) -> [W; 3] {
+    // SAFETY: by the contract.
+    unsafe {
+        let p = base.add(24 * vertex);
+        let z = W::load(p.add(8 * k[2])).sub(o[2]);
+        [W::load(p.add(8 * k[0])).sub(o[0]).sub(sx.mul(z)), W::load(p.add(8 * k[1])).sub(o[1]).sub(sy.mul(z)), z]
+    }
+}
+
+/// (t, u, v) of a block's triangles, and the lanes with t_min < t <= t_max; other lanes are meaningless.
 ///
 /// # Safety
 /// The level's features.
 #[inline(always)]
-unsafe fn intersect8<L: Level>(block: &Tri8, ray: &RaySpace, t_min: f32, t_max: f32) -> ([[f32; 8]; 3], u32) {
-    let mut out = [[0.0f32; 8]; 3];
+pub(super) unsafe fn intersect8<L: Level>(
+    block: &Tri8,
+    ray: &Sheared,
+    t_min: f32,
+    t_max: f32,
+    out: &mut [[f32; 8]; 3],
+) -> u32 {
     // SAFETY: lanes are eight f32 each; axes are 0..3; features by the caller.
     unsafe {
-        let [kx, ky, kz] = ray.k;
-        let o = ray.origin.as_ptr();
-        let (ox, oy, oz) = (L::W8::splat(*o.add(kx)), L::W8::splat(*o.add(ky)), L::W8::splat(*o.add(kz)));
-        let [sx, sy, sz] = ray.shear.map(|x| L::W8::splat(x));
+        let [ox, oy, oz] = ray.origin_k;
+        let o = [L::W8::splat(ox), L::W8::splat(oy), L::W8::splat(oz)];
+        let [sx, sy, sz] = ray.shear;
+        let (sx, sy) = (L::W8::splat(sx), L::W8::splat(sy));
         let base = block.v.as_ptr().cast::<f32>();
-        let corner = |v: usize| {
-            let load = |axis: usize| L::W8::load(base.add(24 * v + 8 * axis));
-            let z = load(kz).sub(oz);
-            (load(kx).sub(ox).sub(sx.mul(z)), load(ky).sub(oy).sub(sy.mul(z)), z)
-        };
-        let (ax, ay, az) = corner(0);
-        let (bx, by, bz) = corner(1);
-        let (cx, cy, cz) = corner(2);
+        let [ax, ay, az] = corner8::<L::W8>(base, 0, ray.k, o, sx, sy);
+        let [bx, by, bz] = corner8::<L::W8>(base, 1, ray.k, o, sx, sy);
+        let [cx, cy, cz] = corner8::<L::W8>(base, 2, ray.k, o, sx, sy);
         let u = cx.mul(by).sub(cy.mul(bx));
         let v = ax.mul(cy).sub(ay.mul(cx));
         let w = bx.mul(ay).sub(by.mul(ax));
@@ -157,11 +227,11 @@ unsafe fn intersect8<L: Level>(block: &Tri8, ray: &RaySpace, t_min: f32, t_max: 
         let most = u.max(v).max(w);
         let mut mask = zero.le(least) | most.le(zero);
         if mask == 0 {
-            return (out, 0);
+            return 0;
         }
         let det = u.add(v).add(w);
         let r = L::W8::splat(1.0).div(det);
-        let t = u.mul(az).add(v.mul(bz)).add(w.mul(cz)).mul(r).mul(sz);
+        let t = u.mul(az).add(v.mul(bz)).add(w.mul(cz)).mul(r).mul(L::W8::splat(sz));
         let size = det.abs();
         let m = ax.abs().max(ay.abs()).max(bx.abs()).max(by.abs()).max(cx.abs()).max(cy.abs());
         let well = m.mul(m).mul(m).mul(L::W8::splat(CONDITION)).le(size.mul(L::W8::splat(ray.reach)));
@@ -172,7 +242,7 @@ unsafe fn intersect8<L: Level>(block: &Tri8, ray: &RaySpace, t_min: f32, t_max: 
         let mut hard = mask & !sound;
         mask &= sound & L::W8::splat(t_min).lt(t) & t.le(L::W8::splat(t_max));
         if mask | hard == 0 {
-            return (out, 0);
+            return 0;
         }
         t.store(out[0].as_mut_ptr());
         v.mul(r).store(out[1].as_mut_ptr());
@@ -188,26 +258,39 @@ unsafe fn intersect8<L: Level>(block: &Tri8, ray: &RaySpace, t_min: f32, t_max: 
                 mask |= 1 << lane;
             }
         }
-        (out, mask)
+        mask
     }
 }
 
 /// One lane in double precision, from the same sheared vertices.
 #[cold]
 #[inline(never)]
-pub(super) fn hard_lane(block: &Tri8, lane: usize, ray: &RaySpace) -> Option<(f32, f32, f32)> {
-    let [a, b, c] = [0, 1, 2].map(|v| crate::accel::triangle::sheared(ray, block.corner(v, lane)));
-    exact(a, b, c, ray.shear[2])
+pub(super) fn hard_lane(block: &Tri8, lane: usize, ray: &Sheared) -> Option<(f32, f32, f32)> {
+    let corner = |vertex: usize| {
+        let p = block.corner(vertex, lane);
+        let z = p[ray.k[2]] - ray.origin_k[2];
+        [(p[ray.k[0]] - ray.origin_k[0]) - ray.shear[0] * z, (p[ray.k[1]] - ray.origin_k[1]) - ray.shear[1] * z, z]
+    };
+    exact(corner(0), corner(1), corner(2), ray.shear[2])
+}
+
+/// Asks for the lines of a block.
+#[inline(always)]
+fn prefetch_block<L: Level>(blocks: &[Tri8], leaf: u32) {
+    let p = blocks.as_ptr().wrapping_add((leaf & BLOCK) as usize).cast::<u8>();
+    for line in 0..5 {
+        L::prefetch(p.wrapping_add(64 * line));
+    }
 }
 
 /// Closest hit in one instance.
-struct BlasClosest<'a> {
-    blocks: &'a [Tri8],
-    ray: RaySpace,
-    t_min: f32,
-    t_max: f32,
-    instance_id: u32,
-    best: &'a mut Hit,
+pub(super) struct BlasClosest<'a> {
+    pub blocks: &'a [Tri8],
+    pub ray: Sheared,
+    pub t_min: f32,
+    pub t_max: f32,
+    pub instance_id: u32,
+    pub best: &'a mut Hit,
 }
 
 impl<L: Level> Visitor<L> for BlasClosest<'_> {
@@ -217,18 +300,23 @@ impl<L: Level> Visitor<L> for BlasClosest<'_> {
         self.best.t
     }
     #[inline(always)]
+    fn soon(&self, leaf: u32) {
+        prefetch_block::<L>(self.blocks, leaf);
+    }
+    #[inline(always)]
     unsafe fn leaf(&mut self, leaf: u32) -> bool {
         // SAFETY: leaf references are block numbers by the tree's invariants; features by the caller.
         unsafe {
-            let block = self.blocks.get_unchecked(leaf as usize);
-            let ([t, u, v], mut mask) = intersect8::<L>(block, &self.ray, self.t_min, self.best.t);
+            let block = self.blocks.get_unchecked((leaf & BLOCK) as usize);
+            let mut tuv = [[0.0f32; 8]; 3];
+            let mut mask = intersect8::<L>(block, &self.ray, self.t_min, self.best.t, &mut tuv);
             while mask != 0 {
                 let lane = mask.trailing_zeros() as usize;
                 mask &= mask - 1;
                 let candidate = Hit {
-                    t: t[lane],
-                    u: u[lane],
-                    v: v[lane],
+                    t: tuv[0][lane],
+                    u: tuv[1][lane],
+                    v: tuv[2][lane],
                     instance_id: self.instance_id,
                     primitive_id: block.prim[lane],
                 };
@@ -249,11 +337,11 @@ pub(super) fn nearer(a: &Hit, best: &Hit, t_max: f32) -> bool {
 }
 
 /// Any hit in one instance.
-struct BlasAny<'a> {
-    blocks: &'a [Tri8],
-    ray: RaySpace,
-    t_min: f32,
-    t_max: f32,
+pub(super) struct BlasAny<'a> {
+    pub blocks: &'a [Tri8],
+    pub ray: Sheared,
+    pub t_min: f32,
+    pub t_max: f32,
 }
 
 impl<L: Level> Visitor<L> for BlasAny<'_> {
@@ -263,13 +351,18 @@ impl<L: Level> Visitor<L> for BlasAny<'_> {
         self.t_max
     }
     #[inline(always)]
+    fn soon(&self, leaf: u32) {
+        prefetch_block::<L>(self.blocks, leaf);
+    }
+    #[inline(always)]
     unsafe fn leaf(&mut self, leaf: u32) -> bool {
         // SAFETY: as for the closest hit.
         unsafe {
-            let block = self.blocks.get_unchecked(leaf as usize);
-            let ([t, ..], mut mask) = intersect8::<L>(block, &self.ray, self.t_min, self.t_max);
+            let block = self.blocks.get_unchecked((leaf & BLOCK) as usize);
+            let mut tuv = [[0.0f32; 8]; 3];
+            let mut mask = intersect8::<L>(block, &self.ray, self.t_min, self.t_max, &mut tuv);
             while mask != 0 {
-                if t[mask.trailing_zeros() as usize] < self.t_max {
+                if tuv[0][mask.trailing_zeros() as usize] < self.t_max {
                     return true;
                 }
                 mask &= mask - 1;
@@ -293,6 +386,8 @@ impl<L: Level> Visitor<L> for TlasClosest<'_> {
         self.best.t
     }
     #[inline(always)]
+    fn soon(&self, _: u32) {}
+    #[inline(always)]
     unsafe fn leaf(&mut self, leaf: u32) -> bool {
         // SAFETY: leaf references are instance slots and their trees exist by the structure's invariants.
         unsafe {
@@ -302,14 +397,13 @@ impl<L: Level> Visitor<L> for TlasClosest<'_> {
             let ray = RaySpace::new(o, d, blas.extent, 1.0);
             let mut v = BlasClosest {
                 blocks: &blas.blocks,
-                ray,
+                ray: Sheared::of(&ray),
                 t_min: self.ray.t_min,
                 t_max: self.ray.t_max,
                 instance_id: record.instance_id,
                 best: &mut self.best,
             };
-            walk::<L, _>(&blas.nodes, blas.root, &ray, self.ray.t_min, &mut v);
-            false
+            tree::<L, _>(blas, &ray, self.ray.t_min, &mut v)
         }
     }
 }
@@ -327,6 +421,8 @@ impl<L: Level> Visitor<L> for TlasAny<'_> {
         self.ray.t_max
     }
     #[inline(always)]
+    fn soon(&self, _: u32) {}
+    #[inline(always)]
     unsafe fn leaf(&mut self, leaf: u32) -> bool {
         // SAFETY: as for the closest hit.
         unsafe {
@@ -337,8 +433,9 @@ impl<L: Level> Visitor<L> for TlasAny<'_> {
             let blas = self.world.trees.get_unchecked(record.blas as usize);
             let (o, d) = record.to_object(self.ray.origin.to_array(), self.ray.direction.to_array());
             let ray = RaySpace::new(o, d, blas.extent, 1.0);
-            let mut v = BlasAny { blocks: &blas.blocks, ray, t_min: self.ray.t_min, t_max: self.ray.t_max };
-            walk::<L, _>(&blas.nodes, blas.root, &ray, self.ray.t_min, &mut v)
+            let mut v =
+                BlasAny { blocks: &blas.blocks, ray: Sheared::of(&ray), t_min: self.ray.t_min, t_max: self.ray.t_max };
+            tree::<L, _>(blas, &ray, self.ray.t_min, &mut v)
         }
     }
 }

@@ -26,7 +26,6 @@ macro_rules! body {
 
 macro_rules! common8 {
     () => {
-        const N: usize = 8;
         #[inline(always)]
         unsafe fn splat(x: f32) -> Self {
             body!(Self(_mm256_set1_ps(x)))
@@ -70,6 +69,22 @@ macro_rules! common8 {
         #[inline(always)]
         unsafe fn slab(self, b: Self, c: Self) -> Self {
             body!(Self(_mm256_fmsub_ps(self.0, b.0, c.0)))
+        }
+        #[inline(always)]
+        unsafe fn least(self) -> f32 {
+            body!({
+                let h = _mm_min_ps(_mm256_castps256_ps128(self.0), _mm256_extractf128_ps::<1>(self.0));
+                let h = _mm_min_ps(h, _mm_movehl_ps(h, h));
+                _mm_cvtss_f32(_mm_min_ss(h, _mm_shuffle_ps::<1>(h, h)))
+            })
+        }
+        #[inline(always)]
+        unsafe fn greatest(self) -> f32 {
+            body!({
+                let h = _mm_max_ps(_mm256_castps256_ps128(self.0), _mm256_extractf128_ps::<1>(self.0));
+                let h = _mm_max_ps(h, _mm_movehl_ps(h, h));
+                _mm_cvtss_f32(_mm_max_ss(h, _mm_shuffle_ps::<1>(h, h)))
+            })
         }
     };
 }
@@ -125,7 +140,6 @@ macro_rules! both {
 }
 
 impl Lanes for A16 {
-    const N: usize = 16;
     #[inline(always)]
     unsafe fn splat(x: f32) -> Self {
         body!(Self(A8::splat(x), A8::splat(x)))
@@ -189,10 +203,17 @@ impl Lanes for A16 {
     unsafe fn select(self, o: Self, mask: u32) -> Self {
         body!(Self(self.0.select(o.0, mask & 255), self.1.select(o.1, mask >> 8)))
     }
+    #[inline(always)]
+    unsafe fn least(self) -> f32 {
+        body!(self.0.min(self.1).least())
+    }
+    #[inline(always)]
+    unsafe fn greatest(self) -> f32 {
+        body!(self.0.max(self.1).greatest())
+    }
 }
 
 impl Lanes for Z16 {
-    const N: usize = 16;
     #[inline(always)]
     unsafe fn splat(x: f32) -> Self {
         body!(Self(_mm512_set1_ps(x)))
@@ -253,6 +274,14 @@ impl Lanes for Z16 {
     unsafe fn select(self, o: Self, mask: u32) -> Self {
         body!(Self(_mm512_mask_blend_ps(mask as u16, o.0, self.0)))
     }
+    #[inline(always)]
+    unsafe fn least(self) -> f32 {
+        body!(_mm512_reduce_min_ps(self.0))
+    }
+    #[inline(always)]
+    unsafe fn greatest(self) -> f32 {
+        body!(_mm512_reduce_max_ps(self.0))
+    }
 }
 
 /// AVX2 and FMA.
@@ -260,6 +289,11 @@ pub(super) struct Avx2;
 impl Level for Avx2 {
     type W8 = A8;
     type W16 = A16;
+    #[inline(always)]
+    fn prefetch(p: *const u8) {
+        // SAFETY: a prefetch reads nothing, whatever the address; SSE is part of x86-64.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
+    }
 }
 
 /// AVX-512 F and VL on top.
@@ -267,4 +301,9 @@ pub(super) struct Avx512;
 impl Level for Avx512 {
     type W8 = Z8;
     type W16 = Z16;
+    #[inline(always)]
+    fn prefetch(p: *const u8) {
+        // SAFETY: a prefetch reads nothing, whatever the address; SSE is part of x86-64.
+        unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
+    }
 }
