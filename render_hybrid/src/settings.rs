@@ -52,9 +52,9 @@ pub enum GlassShadows {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum VplShadows {
     /// None (the thesis): fast, leaks light behind occluders.
-    #[default]
     Off,
     /// A small octahedral depth map each, made by rays: a few texels per pixel and VPL.
+    #[default]
     Maps,
     /// One ray per pixel and VPL: slow, and the truth.
     Traced,
@@ -130,7 +130,7 @@ pub struct VplOptions {
 
 impl Default for VplOptions {
     fn default() -> Self {
-        Self { count: 64, bounces: 2, geometry_term_max: Some(20.0), shadows: VplShadows::Maps, map_size: 32 }
+        Self { count: 128, bounces: 2, geometry_term_max: Some(50.0), shadows: VplShadows::Maps, map_size: 32 }
     }
 }
 
@@ -176,12 +176,12 @@ impl Default for RenderSettings {
 /// Bundles of settings, named by cost.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Preset {
-    /// 16 VPLs, depth 4: editing.
+    /// 16 VPLs without shadows, depth 4: editing.
     Draft,
-    /// 64 VPLs, depth 8: play.
+    /// 128 VPLs with shadow maps, filtered shadows, depth 8: play.
     #[default]
     Interactive,
-    /// 1,024 VPLs with traced visibility, traced soft shadows, depth 16: stills.
+    /// 4,096 VPLs with shadow maps, certified soft shadows, depth 16: stills.
     High,
 }
 
@@ -207,19 +207,19 @@ impl RenderSettings {
         match preset {
             Preset::Draft => Self {
                 moments: MomentOptions { size: 512, face_size: 256, ..base.moments },
-                vpl: Some(VplOptions { count: 16, bounces: 1, ..VplOptions::default() }),
+                // Hard shadows of so few VPLs would be worse than none.
+                vpl: Some(VplOptions { count: 16, bounces: 1, shadows: VplShadows::Off, ..VplOptions::default() }),
                 max_depth: 4,
                 min_weight: 1.0 / 64.0,
                 ..base
             },
             Preset::Interactive => base,
             Preset::High => Self {
-                shadows: Shadows::Traced,
+                shadows: Shadows::Certified,
                 vpl: Some(VplOptions {
-                    count: 1024,
+                    count: 4096,
                     bounces: 3,
-                    geometry_term_max: Some(200.0),
-                    shadows: VplShadows::Traced,
+                    geometry_term_max: Some(400.0),
                     ..VplOptions::default()
                 }),
                 max_depth: 16,

@@ -55,12 +55,12 @@ pub enum Tracer {
 /// Bundle of settings.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum PresetArg {
-    /// 16 VPLs, depth 4: editing
+    /// 16 VPLs without shadows, depth 4: editing
     Draft,
-    /// 64 VPLs, depth 8: play
+    /// 128 VPLs with shadow maps, depth 8: play
     #[default]
     Interactive,
-    /// 1,024 VPLs and all visibility by rays: stills
+    /// 4,096 VPLs with shadow maps, shadows by rays where they matter: stills
     High,
 }
 
@@ -377,7 +377,7 @@ mod tests {
     fn options_change_the_preset() {
         let args = PictureArgs { vpls: Some(1), preset: PresetArg::High, ..PictureArgs::default() };
         let v = args.settings(Size(8, 8)).unwrap().vpl.unwrap();
-        assert_eq!((v.count, v.bounces, v.shadows), (1, 1, hybrid::VplShadows::Traced));
+        assert_eq!((v.count, v.bounces, v.shadows), (1, 1, hybrid::VplShadows::Maps));
         let none = PictureArgs { bounces: Some(0), ..PictureArgs::default() };
         assert_eq!(none.settings(Size(8, 8)).unwrap().vpl, None);
         let tile = PictureArgs { tile: Some(3), ..PictureArgs::default() };
