@@ -1,7 +1,7 @@
 //! Known bugs, as tests of the right behaviour that must fail. One that passes fails here: then it moves into its suite.
 
 use catoptra_engine::{Material, math, shapes::cuboid};
-use catoptra_tests::{HandScene, assert_close, at, fixtures::cpu, known_issue, wall_of_positions};
+use catoptra_tests::{HandScene, assert_close, at, known_issue, wall_of_positions};
 use glam::{Affine3, Vec3};
 
 /// Two closed volumes that share a face bit for bit: a ray that leaves the one must enter the other at the same place. The
