@@ -27,6 +27,7 @@ use crate::{
         moments::render_moments,
         shadow::ShadowPlan,
         tile::{GBufferPixel, TileRect, TileScratch, TileStats, render_tile},
+        vpl_maps::VplMaps,
     },
 };
 
@@ -96,8 +97,17 @@ fn gpu_frame(
 
     // Where visibility is traced, the CPU finds it.
     let start = Instant::now();
-    let trace_lights = settings.shadows == Shadows::Traced;
-    let trace_vpls = settings.vpl.is_some_and(|v| v.shadows == VplShadows::Traced);
+    let trace_lights = matches!(settings.shadows, Shadows::Traced | Shadows::Certified);
+    if settings.shadows == Shadows::Certified {
+        moments(state, level, scene, settings, &mut frame.stats);
+    }
+    let too_many = state.photons.vpls.len() > gpu.most_vpl_maps() as usize;
+    let trace_vpls = settings.vpl.is_some_and(|v| match v.shadows {
+        VplShadows::Off => false,
+        VplShadows::Maps => too_many,
+        VplShadows::Traced => true,
+    });
+    gpu.set_vpl_maps(if too_many { const { &VplMaps::NONE } } else { &state.vpl_maps })?;
     let mut traced = TracedLight::default();
     if trace_lights || trace_vpls {
         let ctx = context(state, level, scene, settings);
@@ -163,10 +173,12 @@ fn structures(state: &mut FrameState, scene: &RenderScene, settings: &RenderSett
     stats.stages_ms.accel = milliseconds(start);
 }
 
-/// Which views the lights need; none unless shadows are moments.
+/// Which views the lights need; none unless shadows come from maps.
 fn shadow_plan(scene: &RenderScene, settings: &RenderSettings) -> ShadowPlan {
     match settings.shadows {
-        Shadows::Moments => ShadowPlan::new(&scene.lights, scene.bounds_world(), &settings.moments),
+        Shadows::Moments | Shadows::Certified => {
+            ShadowPlan::new(&scene.lights, scene.bounds_world(), &settings.moments)
+        }
         Shadows::Traced | Shadows::Off => ShadowPlan::default(),
     }
 }
@@ -186,13 +198,17 @@ fn moments(
     stats.stages_ms.moments = milliseconds(start);
 }
 
-/// Photons from the lights become VPLs.
+/// Photons from the lights become VPLs; then the VPLs' shadow maps.
 fn virtual_lights(state: &mut FrameState, scene: &RenderScene, settings: &RenderSettings, stats: &mut FrameStats) {
     let start = Instant::now();
     state.photons.vpls.clear();
+    state.vpl_maps.clear();
     if let Some(vpl) = &settings.vpl {
         state.photons.trace(scene, &state.normals, &state.accel, vpl, settings.seed);
         stats.rays.photon = state.photons.rays;
+        let size = if vpl.shadows == VplShadows::Maps { vpl.map_size } else { 0 };
+        let (maps, accel) = (&mut state.vpl_maps, &state.accel);
+        stats.rays.vpl_maps = maps.render(&state.photons.vpls, size, scene, accel, settings.glass_shadows);
     }
     stats.vpls = state.photons.vpls.len() as u32;
     stats.stages_ms.vpls = milliseconds(start);
@@ -217,6 +233,7 @@ fn context<'a>(
         accel: &state.accel,
         maps: &state.maps,
         vpls: &state.photons.vpls,
+        vpl_maps: &state.vpl_maps,
         geometry_term_max: geometry_term_max(scene, settings),
         settings,
         level,
@@ -264,7 +281,7 @@ fn pixels(state: &mut FrameState, level: SimdLevel, scene: &RenderScene, setting
         compose: share(4),
         ..s.stages_ms
     };
-    s.rays = crate::output::RayCounts { moments: s.rays.moments, photon: s.rays.photon, ..stats.rays };
+    s.rays = s.rays.merged(stats.rays);
     s.masked_pixels = stats.masked;
     s.non_finite = non_finite;
     frame.layers = KEPT.into_iter().zip(layers).collect();

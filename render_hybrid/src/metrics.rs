@@ -98,6 +98,8 @@ pub struct Comparison {
     pub rel_mse: f64,
     /// See [`psnr_db`].
     pub psnr_db: f64,
+    /// See [`mean_ratio`].
+    pub mean_ratio: [f64; 3],
 }
 
 /// Compares linear pictures; FLIP and PSNR look at their PNG rendering at EV 0.
@@ -134,6 +136,16 @@ pub fn compare_loaded(a: &image_io::LoadedImage, b: &image_io::LoadedImage) -> R
         flip: FlipMap::between_srgb8(&a.srgb8, &b.srgb8, la.width, la.height),
         rel_mse: rel_mse(la, lb),
         psnr_db: psnr_db(&a.srgb8, &b.srgb8),
+        mean_ratio: mean_ratio(la, lb),
+    })
+}
+
+/// Mean radiance of `a` over that of the reference `b`, per channel: 1 where no energy is lost; 1 where both are black.
+pub fn mean_ratio(a: &Image, b: &Image) -> [f64; 3] {
+    let sum = |image: &Image, c: usize| image.pixels.iter().map(|p| f64::from(p[c])).sum::<f64>();
+    std::array::from_fn(|c| {
+        let (a, b) = (sum(a, c), sum(b, c));
+        if a == b { 1.0 } else { a / b }
     })
 }
 

@@ -114,6 +114,8 @@ pub struct RayCounts {
     pub shadow: u64,
     /// Light paths that make VPLs.
     pub photon: u64,
+    /// From VPLs for their shadow maps.
+    pub vpl_maps: u64,
     /// Towards VPLs.
     pub vpl: u64,
 }
@@ -128,6 +130,7 @@ impl RayCounts {
             refraction: self.refraction + o.refraction,
             shadow: self.shadow + o.shadow,
             photon: self.photon + o.photon,
+            vpl_maps: self.vpl_maps + o.vpl_maps,
             vpl: self.vpl + o.vpl,
         }
     }

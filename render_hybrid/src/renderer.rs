@@ -17,7 +17,7 @@ use crate::{
         reference::{ReferenceAccumulator, ReferenceOptions},
         surface::NormalMatrices,
     },
-    twin::{shadow::ShadowMaps, tile::TileScratch},
+    twin::{shadow::ShadowMaps, tile::TileScratch, vpl_maps::VplMaps},
 };
 
 /// Makes pictures of scenes. Nothing is global: any number of renderers live side by side. `Send`.
@@ -50,8 +50,9 @@ pub(crate) struct FrameState {
     pub accel: Accel,
     pub normals: NormalMatrices,
     pub maps: ShadowMaps,
-    pub blur_scratch: Vec<[f32; 2]>,
+    pub blur_scratch: Vec<[f32; 4]>,
     pub photons: Photons,
+    pub vpl_maps: VplMaps,
     /// One a thread.
     pub tiles: Vec<Mutex<TileScratch>>,
     /// `None` on the CPU lane.
@@ -96,6 +97,7 @@ impl Renderer {
             maps: ShadowMaps::default(),
             blur_scratch: Vec::new(),
             photons: Photons::default(),
+            vpl_maps: VplMaps::default(),
             tiles: (0..threads).map(|_| Mutex::default()).collect(),
             gpu,
         };

@@ -19,10 +19,23 @@ pub enum Shadows {
     /// Filtered variance shadow maps (Donnelly & Lauritzen 2006).
     #[default]
     Moments,
+    /// Depth bounds over the part of the map through which the light's disc is seen prove pixels fully lit or dark; rays as
+    /// in `Traced` decide elsewhere.
+    Certified,
     /// Rays: one for a light of radius 0, else [`RenderSettings::shadow_samples`] on its disc.
     Traced,
     /// None.
     Off,
+}
+
+/// What is stored and filtered in shadow maps.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum ShadowFilter {
+    /// z and z² (Donnelly & Lauritzen 2006): bleeds light where occluders overlap.
+    Vsm,
+    /// Moments of two exponential warps of z (Lauritzen & McCool 2008): little bleeding, twice the memory and filtering.
+    #[default]
+    Evsm4,
 }
 
 /// Whether glass throws shadows.
@@ -39,8 +52,10 @@ pub enum GlassShadows {
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum VplShadows {
     /// None (the thesis): fast, leaks light behind occluders.
-    #[default]
     Off,
+    /// A small octahedral depth map each, made by rays: a few texels per pixel and VPL.
+    #[default]
+    Maps,
     /// One ray per pixel and VPL: slow, and the truth.
     Traced,
 }
@@ -72,6 +87,8 @@ pub enum SimdLevel {
 /// Shadow moments.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct MomentOptions {
+    /// What the maps hold.
+    pub filter: ShadowFilter,
     /// Texels a side of a spot or directional light's map. Higher: finer contacts, quadratic cost.
     pub size: u32,
     /// Texels a side of each of a point light's six faces.
@@ -84,7 +101,13 @@ pub struct MomentOptions {
 
 impl Default for MomentOptions {
     fn default() -> Self {
-        Self { size: 1024, face_size: 512, min_variance: 2e-7, light_bleed_reduction: 0.2 }
+        Self {
+            filter: ShadowFilter::default(),
+            size: 1024,
+            face_size: 512,
+            min_variance: 2e-7,
+            light_bleed_reduction: 0.2,
+        }
     }
 }
 
@@ -100,11 +123,14 @@ pub struct VplOptions {
     pub geometry_term_max: Option<f32>,
     /// Their visibility.
     pub shadows: VplShadows,
+    /// Texels a side of a VPL's map where `shadows` are maps: 16, 32 or 64. Higher: finer contacts, harder edges, quadratic
+    /// cost in rays and memory (4 bytes a texel).
+    pub map_size: u32,
 }
 
 impl Default for VplOptions {
     fn default() -> Self {
-        Self { count: 64, bounces: 2, geometry_term_max: Some(20.0), shadows: VplShadows::Off }
+        Self { count: 128, bounces: 2, geometry_term_max: Some(50.0), shadows: VplShadows::Maps, map_size: 32 }
     }
 }
 
@@ -150,12 +176,12 @@ impl Default for RenderSettings {
 /// Bundles of settings, named by cost.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Preset {
-    /// 16 VPLs, depth 4: editing.
+    /// 16 VPLs without shadows, depth 4: editing.
     Draft,
-    /// 64 VPLs, depth 8: play.
+    /// 128 VPLs with shadow maps, filtered shadows, depth 8: play.
     #[default]
     Interactive,
-    /// 1,024 VPLs with traced visibility, traced soft shadows, depth 16: stills.
+    /// 4,096 VPLs with shadow maps, certified soft shadows, depth 16: stills.
     High,
 }
 
@@ -181,19 +207,20 @@ impl RenderSettings {
         match preset {
             Preset::Draft => Self {
                 moments: MomentOptions { size: 512, face_size: 256, ..base.moments },
-                vpl: Some(VplOptions { count: 16, bounces: 1, ..VplOptions::default() }),
+                // Hard shadows of so few VPLs would be worse than none.
+                vpl: Some(VplOptions { count: 16, bounces: 1, shadows: VplShadows::Off, ..VplOptions::default() }),
                 max_depth: 4,
                 min_weight: 1.0 / 64.0,
                 ..base
             },
             Preset::Interactive => base,
             Preset::High => Self {
-                shadows: Shadows::Traced,
+                shadows: Shadows::Certified,
                 vpl: Some(VplOptions {
-                    count: 1024,
+                    count: 4096,
                     bounces: 3,
-                    geometry_term_max: Some(200.0),
-                    shadows: VplShadows::Traced,
+                    geometry_term_max: Some(400.0),
+                    ..VplOptions::default()
                 }),
                 max_depth: 16,
                 min_weight: 1.0 / 4096.0,
@@ -232,6 +259,9 @@ impl RenderSettings {
                     "{} VPLs over {} bounces: 1 to 1048576 VPLs, 1 to 64 bounces",
                     v.count, v.bounces
                 ));
+            }
+            if ![16, 32, 64].contains(&v.map_size) {
+                return Some(format!("VPL maps of {} texels: 16, 32 or 64", v.map_size));
             }
             if v.geometry_term_max.is_some_and(|b| b.is_nan() || b < 0.0) {
                 return Some("the bound of the VPLs' geometry term must be a number from 0 up".into());

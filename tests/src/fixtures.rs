@@ -48,7 +48,7 @@ pub fn small(width: u32, height: u32, moments: u32) -> RenderSettings {
 
 /// VPLs as the truth wants them: no bound, one visibility ray per point and VPL.
 pub fn full_vpls(count: u32, bounces: u32) -> VplOptions {
-    VplOptions { count, bounces, geometry_term_max: None, shadows: VplShadows::Traced }
+    VplOptions { count, bounces, geometry_term_max: None, shadows: VplShadows::Traced, ..VplOptions::default() }
 }
 
 /// A renderer on the CPU lane with everything else automatic.

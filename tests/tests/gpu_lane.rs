@@ -209,7 +209,7 @@ fn moments_darken_what_the_twin_darkens() {
         let on = settings(Shadows::Moments);
         let lit = render(&mut gpu, &scene, &settings(Shadows::Off), &[]);
         let shadowed = render(&mut gpu, &scene, &on, &[]);
-        let maps = ShadowMaps { plan: plan(&scene, &on), maps: gpu.read_moments().unwrap() };
+        let maps = ShadowMaps { plan: plan(&scene, &on), maps: gpu.read_moments().unwrap(), pyramids: Vec::new() };
         assert_eq!(maps.maps.len(), maps.plan.views.len());
         assert!(maps.maps.iter().zip(&maps.plan.views).all(|(m, v)| m.len() == (v.size * v.size) as usize));
         let places = gpu.read_gbuffer().unwrap();

@@ -23,8 +23,8 @@ pub fn run(args: &JudgeArgs) -> Result<(), Failure> {
     let scene_options = args.picture.scene.options();
     let mut renderer = args.picture.renderer()?;
     line(format!(
-        "{:<20} {:>9} {:>6} {:>6} {:>12} {:>10} {:>9} {:>11} {:>7}",
-        "scene", "size", "frame", "spp", "halves_flip", "flip_mean", "flip_p99", "relmse", "psnr"
+        "{:<20} {:>9} {:>6} {:>6} {:>12} {:>10} {:>9} {:>11} {:>7} {:>20}",
+        "scene", "size", "frame", "spp", "halves_flip", "flip_mean", "flip_p99", "relmse", "psnr", "mean_ratio"
     ))?;
     let mut noisy = Vec::new();
     for target in &targets {
@@ -41,7 +41,7 @@ pub fn run(args: &JudgeArgs) -> Result<(), Failure> {
             noisy.push(world.name.clone());
         }
         line(format!(
-            "{:<20} {:>9} {:>6} {:>6} {:>12.4} {:>10.4} {:>9.4} {:>11.4e} {:>7.2}",
+            "{:<20} {:>9} {:>6} {:>6} {:>12.4} {:>10.4} {:>9.4} {:>11.4e} {:>7.2} {:>20}",
             world.name,
             Size(settings.width, settings.height).to_string(),
             args.frame,
@@ -50,7 +50,8 @@ pub fn run(args: &JudgeArgs) -> Result<(), Failure> {
             comparison.flip.mean(),
             comparison.flip.percentile(0.99),
             comparison.rel_mse,
-            comparison.psnr_db
+            comparison.psnr_db,
+            comparison.mean_ratio.map(|r| format!("{r:.3}")).join(",")
         ))?;
     }
     if !noisy.is_empty() {

@@ -55,12 +55,12 @@ pub enum Tracer {
 /// Bundle of settings.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum PresetArg {
-    /// 16 VPLs, depth 4: editing
+    /// 16 VPLs without shadows, depth 4: editing
     Draft,
-    /// 64 VPLs, depth 8: play
+    /// 128 VPLs with shadow maps, depth 8: play
     #[default]
     Interactive,
-    /// 1,024 VPLs and all visibility by rays: stills
+    /// 4,096 VPLs with shadow maps, shadows by rays where they matter: stills
     High,
 }
 
@@ -176,6 +176,9 @@ pub struct PictureArgs {
     /// Shadows of virtual point lights
     #[arg(long, value_enum)]
     pub vpl_shadows: Option<VplShadowsArg>,
+    /// Texels a side of a virtual point light's shadow map: 16, 32 or 64
+    #[arg(long, value_name = "N")]
+    pub vpl_map_size: Option<u32>,
     /// Bound of the VPLs' geometry term in units of 1/(bounding radius)^2, or `off` for none (no bias, bright spots)
     #[arg(long, value_name = "X|off", value_parser = parse_bound)]
     pub vpl_bound: Option<Bound>,
@@ -245,17 +248,6 @@ impl PictureArgs {
                 ));
             }
         }
-        if self.shadows == Some(ShadowsArg::Certified) {
-            let what = "certified shadows are not in this version; use `moments`, `traced` or `off`";
-            return Err(Failure::missing("--shadows certified", what));
-        }
-        if self.shadow_filter == Some(ShadowFilter::Evsm4) {
-            return Err(Failure::missing("--shadow-filter evsm4", "this filter is not in this version; use `vsm`"));
-        }
-        if self.vpl_shadows == Some(VplShadowsArg::Maps) {
-            let what = "shadow maps of VPLs are not in this version; use `off` or `traced`";
-            return Err(Failure::missing("--vpl-shadows maps", what));
-        }
         if self.budget.is_some() {
             return Err(Failure::missing("--budget", "ray budgets are not in this version; leave it out"));
         }
@@ -277,9 +269,16 @@ impl PictureArgs {
         (s.width, s.height) = (size.0, size.1);
         if let Some(shadows) = self.shadows {
             s.shadows = match shadows {
-                ShadowsArg::Moments | ShadowsArg::Certified => hybrid::Shadows::Moments,
+                ShadowsArg::Moments => hybrid::Shadows::Moments,
+                ShadowsArg::Certified => hybrid::Shadows::Certified,
                 ShadowsArg::Traced => hybrid::Shadows::Traced,
                 ShadowsArg::Off => hybrid::Shadows::Off,
+            };
+        }
+        if let Some(filter) = self.shadow_filter {
+            s.moments.filter = match filter {
+                ShadowFilter::Vsm => hybrid::ShadowFilter::Vsm,
+                ShadowFilter::Evsm4 => hybrid::ShadowFilter::Evsm4,
             };
         }
         if let Some(glass) = self.glass_shadows {
@@ -310,9 +309,11 @@ impl PictureArgs {
         if let Some(Bound(bound)) = self.vpl_bound {
             v.geometry_term_max = bound;
         }
+        v.map_size = self.vpl_map_size.unwrap_or(v.map_size);
         if let Some(shadows) = self.vpl_shadows {
             v.shadows = match shadows {
-                VplShadowsArg::Off | VplShadowsArg::Maps => hybrid::VplShadows::Off,
+                VplShadowsArg::Off => hybrid::VplShadows::Off,
+                VplShadowsArg::Maps => hybrid::VplShadows::Maps,
                 VplShadowsArg::Traced => hybrid::VplShadows::Traced,
             };
         }
@@ -376,7 +377,7 @@ mod tests {
     fn options_change_the_preset() {
         let args = PictureArgs { vpls: Some(1), preset: PresetArg::High, ..PictureArgs::default() };
         let v = args.settings(Size(8, 8)).unwrap().vpl.unwrap();
-        assert_eq!((v.count, v.bounces, v.shadows), (1, 1, hybrid::VplShadows::Traced));
+        assert_eq!((v.count, v.bounces, v.shadows), (1, 1, hybrid::VplShadows::Maps));
         let none = PictureArgs { bounces: Some(0), ..PictureArgs::default() };
         assert_eq!(none.settings(Size(8, 8)).unwrap().vpl, None);
         let tile = PictureArgs { tile: Some(3), ..PictureArgs::default() };
@@ -391,9 +392,6 @@ mod tests {
             PictureArgs { tracer: Tracer::Gpu, ..base.clone() },
             PictureArgs { tracer: Tracer::GpuFragment, ..base.clone() },
             PictureArgs { tracer: Tracer::Rayquery, ..base.clone() },
-            PictureArgs { shadows: Some(ShadowsArg::Certified), ..base.clone() },
-            PictureArgs { shadow_filter: Some(ShadowFilter::Evsm4), ..base.clone() },
-            PictureArgs { vpl_shadows: Some(VplShadowsArg::Maps), ..base.clone() },
             PictureArgs { budget: Some(1), ..base.clone() },
         ];
         for args in refused {

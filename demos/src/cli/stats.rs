@@ -98,8 +98,8 @@ pub fn frame_times(records: &[FrameRecord]) -> Value {
 }
 
 /// Rays by kind.
-pub fn rays(rays: &RayCounts) -> [(&'static str, u64); 7] {
-    let RayCounts { camera, moments, reflection, refraction, shadow, photon, vpl } = *rays;
+pub fn rays(rays: &RayCounts) -> [(&'static str, u64); 8] {
+    let RayCounts { camera, moments, reflection, refraction, shadow, photon, vpl_maps, vpl } = *rays;
     [
         ("camera", camera),
         ("moments", moments),
@@ -107,6 +107,7 @@ pub fn rays(rays: &RayCounts) -> [(&'static str, u64); 7] {
         ("refraction", refraction),
         ("shadow", shadow),
         ("photon", photon),
+        ("vpl_maps", vpl_maps),
         ("vpl", vpl),
     ]
 }

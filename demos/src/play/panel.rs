@@ -144,7 +144,7 @@ fn stages(ui: &mut Ui, controls: &mut Controls) {
     });
     let s = &mut controls.settings;
     ComboBox::from_label("shadows").selected_text(format!("{:?}", s.shadows)).show_ui(ui, |ui| {
-        for mode in [Shadows::Moments, Shadows::Traced, Shadows::Off] {
+        for mode in [Shadows::Moments, Shadows::Certified, Shadows::Traced, Shadows::Off] {
             ui.selectable_value(&mut s.shadows, mode, format!("{mode:?}"));
         }
     });
@@ -152,7 +152,7 @@ fn stages(ui: &mut Ui, controls: &mut Controls) {
         Shadows::Moments => {
             ui.add(Slider::new(&mut s.moments.light_bleed_reduction, 0.0..=0.9).text("light-bleed reduction"));
         }
-        Shadows::Traced => {
+        Shadows::Certified | Shadows::Traced => {
             ui.add(Slider::new(&mut s.shadow_samples, 1..=64).text("rays a light"));
         }
         Shadows::Off => {}
@@ -177,10 +177,11 @@ fn indirect(ui: &mut Ui, s: &mut RenderSettings, initial: Option<VplOptions>) {
     ui.add(Slider::new(&mut v.count, 1..=4096).logarithmic(true).text("VPLs"));
     ui.add(Slider::new(&mut v.bounces, 1..=8).text("bounces"));
     v.bounces = v.bounces.min(v.count);
-    let mut traced = v.shadows == VplShadows::Traced;
-    if ui.checkbox(&mut traced, "shadows of VPLs (slow)").changed() {
-        v.shadows = if traced { VplShadows::Traced } else { VplShadows::Off };
-    }
+    ComboBox::from_label("shadows of VPLs").selected_text(format!("{:?}", v.shadows)).show_ui(ui, |ui| {
+        for mode in [VplShadows::Off, VplShadows::Maps, VplShadows::Traced] {
+            ui.selectable_value(&mut v.shadows, mode, format!("{mode:?}"));
+        }
+    });
     let mut bounded = v.geometry_term_max.is_some();
     if ui.checkbox(&mut bounded, "bounded geometry term").changed() {
         v.geometry_term_max = if bounded { VplOptions::default().geometry_term_max } else { None };

@@ -9,7 +9,7 @@ use super::{
 };
 use crate::{
     error::RenderError,
-    settings::{MomentOptions, Shadows},
+    settings::{MomentOptions, ShadowFilter, Shadows},
 };
 
 /// Direct light of all lights.
@@ -90,13 +90,13 @@ impl DirectPass {
         let visibility = match shadows {
             _ if planes => VISIBILITY_PLANES,
             Shadows::Moments => VISIBILITY_MOMENTS,
-            Shadows::Traced | Shadows::Off => VISIBILITY_NONE,
+            Shadows::Traced | Shadows::Certified | Shadows::Off => VISIBILITY_NONE,
         };
         let data = DirectUniform {
             visibility,
             min_variance: options.min_variance,
             light_bleed_reduction: options.light_bleed_reduction,
-            unused: 0,
+            evsm: u32::from(options.filter == ShadowFilter::Evsm4),
         };
         if self.written != Some(data) {
             gpu.upload(&self.uniform, 0, bytemuck::bytes_of(&data));
@@ -121,7 +121,17 @@ impl DirectPass {
 
 /// Writes one whole layer of a texture.
 pub(crate) fn write_texture(gpu: &Gpu, texture: &wgpu::Texture, layer: u32, bytes: &[u8], texel_bytes: u32) {
-    let (width, height) = (texture.width(), texture.height());
+    write_part(gpu, texture, layer, texture.height(), bytes, texel_bytes);
+}
+
+/// Writes the first whole rows of a texture, as many as the bytes fill.
+pub(crate) fn write_rows(gpu: &Gpu, texture: &wgpu::Texture, bytes: &[u8], texel_bytes: u32) {
+    let rows = bytes.len() as u32 / (texture.width() * texel_bytes);
+    write_part(gpu, texture, 0, rows, bytes, texel_bytes);
+}
+
+fn write_part(gpu: &Gpu, texture: &wgpu::Texture, layer: u32, height: u32, bytes: &[u8], texel_bytes: u32) {
+    let width = texture.width();
     gpu.queue.write_texture(
         wgpu::TexelCopyTextureInfo {
             texture,

@@ -2,14 +2,17 @@
 
 use super::{
     device::{Gpu, GrowBuffer},
-    direct::write_texture,
+    direct::{write_rows, write_texture},
     layouts::{IndirectHead, VplData},
     pipeline::{Slot, draw_pipeline, group, group_layout, pipeline_layout},
     scene_buffers::SceneBuffers,
     shader::VPL_CHUNK,
-    targets::{PictureTargets, RADIANCE_FORMAT, draw_pass},
+    targets::{PictureTargets, RADIANCE_FORMAT, Target, draw_pass},
 };
-use crate::{error::RenderError, twin::vpl::Vpl};
+use crate::{
+    error::RenderError,
+    twin::{vpl::Vpl, vpl_maps::VplMaps},
+};
 
 const CHUNK_SIZE: u64 = size_of::<IndirectHead>() as u64 + VPL_CHUNK as u64 * size_of::<VplData>() as u64;
 
@@ -19,30 +22,58 @@ pub(crate) struct IndirectPass {
     layout: wgpu::BindGroupLayout,
     chunks: GrowBuffer,
     stride: u64,
+    /// Shadow maps of the VPLs, a row each; a single texel where there are none.
+    maps: Target,
+    map_size: u32,
 }
 
 /// Bindings that read the second and the first of the two targets.
 pub(crate) struct IndirectGroups([wgpu::BindGroup; 2]);
 
 impl IndirectPass {
-    pub fn new(gpu: &Gpu, frame: &wgpu::BindGroupLayout) -> Self {
+    pub fn new(gpu: &Gpu, frame: &wgpu::BindGroupLayout) -> Result<Self, RenderError> {
         use Slot::Texture;
         let layout = group_layout(
             gpu,
             "indirect.group",
             wgpu::ShaderStages::FRAGMENT,
-            &[Slot::DynamicUniform(CHUNK_SIZE), Texture, Texture, Texture, Texture],
+            &[Slot::DynamicUniform(CHUNK_SIZE), Texture, Texture, Texture, Texture, Texture],
         );
         let pipeline_layout = pipeline_layout(gpu, "indirect", Some(frame), Some(&layout));
         let usage = wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST;
         let alignment = u64::from(gpu.device.limits().min_uniform_buffer_offset_alignment);
         let stride = CHUNK_SIZE.next_multiple_of(alignment);
-        Self {
+        Ok(Self {
             pipeline: draw_pipeline(gpu, "indirect", &pipeline_layout, RADIANCE_FORMAT, false),
             layout,
             chunks: GrowBuffer::new(gpu, "indirect.chunks", usage, stride),
             stride,
+            maps: Self::maps_target(gpu, [1, 1])?,
+            map_size: 0,
+        })
+    }
+
+    fn maps_target(gpu: &Gpu, [width, height]: [u32; 2]) -> Result<Target, RenderError> {
+        let usage = wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST;
+        Target::new(gpu, "indirect.vpl_maps", [width, height, 1], wgpu::TextureFormat::R32Float, usage, false)
+    }
+
+    /// Maps for the VPLs of the next [`Self::upload`], in the order of VPLs; of size 0: none. True where the texture was
+    /// replaced, so that [`Self::bind`] must follow.
+    pub fn upload_maps(&mut self, gpu: &Gpu, maps: &VplMaps) -> Result<bool, RenderError> {
+        let width = maps.size * maps.size;
+        self.map_size = if maps.texels.is_empty() { 0 } else { maps.size };
+        if self.map_size == 0 {
+            return Ok(false);
         }
+        let rows = maps.texels.len() as u32 / width;
+        let t = &self.maps.texture;
+        let replaced = t.width() != width || t.height() < rows;
+        if replaced {
+            self.maps = Self::maps_target(gpu, [width, rows])?;
+        }
+        write_rows(gpu, &self.maps.texture, bytemuck::cast_slice(&maps.texels), 4);
+        Ok(replaced)
     }
 
     pub fn bind(&self, gpu: &Gpu, t: &PictureTargets) -> IndirectGroups {
@@ -61,6 +92,7 @@ impl IndirectPass {
                 view(&t.normals.view),
                 view(&t.base_color.view),
                 view(&t.indirect[previous].view),
+                view(&self.maps.view),
             ];
             group(gpu, "indirect.group", &self.layout, &resources)
         }))
@@ -70,7 +102,12 @@ impl IndirectPass {
     /// must follow).
     pub fn upload(&mut self, gpu: &Gpu, vpls: &[Vpl], geometry_term_max: f32) -> (u32, bool) {
         // Empty slots add nothing.
-        let lit: Vec<VplData> = vpls.iter().filter(|v| v.flux.max_element() > 0.0).map(VplData::new).collect();
+        let lit: Vec<VplData> = vpls
+            .iter()
+            .zip(0..)
+            .filter(|(v, _)| v.flux.max_element() > 0.0)
+            .map(|(v, map)| VplData::new(v, map))
+            .collect();
         let chunks: Vec<_> = lit.chunks(VPL_CHUNK as usize).collect();
         let replaced = self.chunks.reserve(gpu, (self.stride * chunks.len() as u64).max(self.stride));
         for (i, chunk) in chunks.iter().enumerate() {
@@ -80,7 +117,7 @@ impl IndirectPass {
                 accumulate: u32::from(i > 0),
                 // Infinity is no number for a shader.
                 geometry_term_max: geometry_term_max.min(f32::MAX),
-                unused: 0,
+                map_size: self.map_size,
             };
             gpu.upload(&self.chunks.buffer, offset, bytemuck::bytes_of(&head));
             gpu.upload(&self.chunks.buffer, offset + size_of::<IndirectHead>() as u64, bytemuck::cast_slice(chunk));

@@ -266,20 +266,21 @@ impl LightData {
 #[repr(C)]
 pub(crate) struct VplData {
     pub position_world: Vec3,
-    pub unused0: f32,
+    pub error: f32,
     pub normal_world: Vec3,
-    pub unused1: f32,
+    pub map: u32,
     pub flux: Vec3,
     pub unused2: f32,
 }
 
 impl VplData {
-    pub fn new(v: &Vpl) -> Self {
+    /// * `map`: row of its shadow map
+    pub fn new(v: &Vpl, map: u32) -> Self {
         Self {
             position_world: v.position_world,
-            unused0: 0.0,
+            error: v.error,
             normal_world: v.normal_world,
-            unused1: 0.0,
+            map,
             flux: v.flux,
             unused2: 0.0,
         }
@@ -293,7 +294,7 @@ pub(crate) struct IndirectHead {
     pub count: u32,
     pub accumulate: u32,
     pub geometry_term_max: f32,
-    pub unused: u32,
+    pub map_size: u32,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
@@ -302,7 +303,7 @@ pub(crate) struct DirectUniform {
     pub visibility: u32,
     pub min_variance: f32,
     pub light_bleed_reduction: f32,
-    pub unused: u32,
+    pub evsm: u32,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
@@ -458,16 +459,8 @@ mod tests {
             forward,
             light
         );
-        assert_layout!(
-            "direct",
-            "DirectUniform",
-            DirectUniform,
-            visibility,
-            min_variance,
-            light_bleed_reduction,
-            unused
-        );
-        assert_layout!("indirect", "Vpl", VplData, position_world, unused0, normal_world, unused1, flux, unused2);
+        assert_layout!("direct", "DirectUniform", DirectUniform, visibility, min_variance, light_bleed_reduction, evsm);
+        assert_layout!("indirect", "Vpl", VplData, position_world, error, normal_world, map, flux, unused2);
         assert_layout!("traced_scatter", "TracedPixel", TracedPixel, radiance, pixel);
         assert_layout!("present", "PresentUniform", PresentUniform, exposure, encode_srgb, unused0, unused1);
 
@@ -475,6 +468,7 @@ mod tests {
         assert_eq!(members[0], ("count".into(), offset_of!(IndirectHead, count)));
         assert_eq!(members[1], ("accumulate".into(), offset_of!(IndirectHead, accumulate)));
         assert_eq!(members[2], ("geometry_term_max".into(), offset_of!(IndirectHead, geometry_term_max)));
+        assert_eq!(members[3], ("map_size".into(), offset_of!(IndirectHead, map_size)));
         assert_eq!(members[4], ("vpls".into(), size_of::<IndirectHead>()));
         let chunk = super::super::shader::VPL_CHUNK as usize * size_of::<VplData>();
         assert_eq!(span, size_of::<IndirectHead>() + chunk);

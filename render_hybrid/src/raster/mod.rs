@@ -36,7 +36,7 @@ use crate::{
     error::RenderError,
     output::{Image, Layer},
     settings::{GlassShadows, RenderSettings, Shadows},
-    twin::{shadow::ShadowPlan, vpl::Vpl},
+    twin::{shadow::ShadowPlan, vpl::Vpl, vpl_maps::VplMaps},
 };
 use device::Gpu;
 use layouts::PackedLayer;
@@ -132,7 +132,7 @@ impl GpuRaster {
                 gbuffer::GbufferPass::new(&gpu, frame),
                 compact::CompactPass::new(&gpu),
                 direct::DirectPass::new(&gpu, frame)?,
-                indirect::IndirectPass::new(&gpu, frame),
+                indirect::IndirectPass::new(&gpu, frame)?,
                 compose::ComposePass::new(&gpu),
                 present::PresentPass::new(&gpu),
                 present::LayerPass::new(&gpu, frame),
@@ -236,7 +236,7 @@ impl GpuRaster {
         if moments {
             let mut stage = timer.begin(gpu, "moments");
             let clear_glass = settings.glass_shadows == GlassShadows::Clear;
-            moments_pass.record(gpu, &mut stage.encoder, scene, plan, shadows, clear_glass);
+            moments_pass.record(gpu, &mut stage.encoder, scene, plan, shadows, settings.moments.filter, clear_glass);
             for (kind, groups, used) in [
                 (&shadows.maps, &bindings.blur[0], plan.lights.iter().any(|l| l.count == 1)),
                 (&shadows.faces, &bindings.blur[1], plan.lights.iter().any(|l| l.count == 6)),
@@ -290,7 +290,7 @@ impl GpuRaster {
     ///
     /// # Errors
     /// [`RenderError::Gpu`]
-    pub fn read_moments(&mut self) -> Result<Vec<Vec<[f32; 2]>>, RenderError> {
+    pub fn read_moments(&mut self) -> Result<Vec<Vec<[f32; 4]>>, RenderError> {
         if !self.begun()?.moments {
             return Ok(Vec::new());
         }
@@ -328,6 +328,26 @@ impl GpuRaster {
                 material,
             })
         })
+    }
+
+    /// Shadow maps for the VPLs of the next [`Self::light`], in the order of VPLs; of size 0: none. Sends them.
+    ///
+    /// # Errors
+    /// [`RenderError::Gpu`], also where there are more maps than a texture has rows: see [`Self::most_vpl_maps`].
+    pub fn set_vpl_maps(&mut self, maps: &VplMaps) -> Result<(), RenderError> {
+        self.begun()?;
+        self.step(|s| {
+            let replaced = s.indirect.upload_maps(&s.gpu, maps)?;
+            if let (true, Some(bindings)) = (replaced, &mut s.bindings) {
+                bindings.indirect = s.indirect.bind(&s.gpu, &s.picture);
+            }
+            Ok(())
+        })
+    }
+
+    /// Most VPLs whose maps this adapter holds.
+    pub fn most_vpl_maps(&self) -> u32 {
+        self.gpu.device.limits().max_texture_dimension_2d
     }
 
     /// Submits direct and indirect light.
@@ -437,8 +457,8 @@ impl GpuRaster {
                     };
                     let array =
                         if s.plan.lights[view.light as usize].count == 6 { &s.shadows.faces } else { &s.shadows.maps };
-                    let map: Vec<[f32; 2]> = s.readback.texture(&s.gpu, &array.moments.texture, 0)?;
-                    let pixels = map.into_iter().map(|[a, b]| [a, b, 0.0]).collect();
+                    let map: Vec<[f32; 4]> = s.readback.texture(&s.gpu, &array.moments.texture, 0)?;
+                    let pixels = map.into_iter().map(|[a, b, ..]| [a, b, 0.0]).collect();
                     return Ok(Image { width: view.size, height: view.size, pixels });
                 }
             };

@@ -8,11 +8,14 @@ use super::{
     scene_buffers::{Draw, SceneBuffers, first_layers},
     targets::{MOMENTS_FORMAT, ShadowTargets, draw_pass},
 };
-use crate::twin::shadow::{ShadowPlan, ShadowView};
+use crate::{
+    settings::ShadowFilter,
+    twin::shadow::{ShadowPlan, ShadowView, moments_of},
+};
 
 const UNIFORM_SIZE: u64 = 16;
 
-/// Draws (z, z²) of the nearest surfaces into each view's layer.
+/// Draws the moments of the nearest surfaces into each view's layer.
 pub(crate) struct MomentsPass {
     pipeline: wgpu::RenderPipeline,
     layout: wgpu::BindGroupLayout,
@@ -21,12 +24,17 @@ pub(crate) struct MomentsPass {
     stride: u64,
     group: Option<wgpu::BindGroup>,
     written: u32,
+    filter: ShadowFilter,
 }
 
 impl MomentsPass {
     pub fn new(gpu: &Gpu, frame: &wgpu::BindGroupLayout) -> Self {
-        let layout =
-            group_layout(gpu, "moments.group", wgpu::ShaderStages::VERTEX, &[Slot::DynamicUniform(UNIFORM_SIZE)]);
+        let layout = group_layout(
+            gpu,
+            "moments.group",
+            wgpu::ShaderStages::VERTEX_FRAGMENT,
+            &[Slot::DynamicUniform(UNIFORM_SIZE)],
+        );
         let pipeline_layout = pipeline_layout(gpu, "moments", Some(frame), Some(&layout));
         let stride = u64::from(gpu.device.limits().min_uniform_buffer_offset_alignment).max(UNIFORM_SIZE);
         Self {
@@ -41,22 +49,26 @@ impl MomentsPass {
             stride,
             group: None,
             written: 0,
+            filter: ShadowFilter::default(),
         }
     }
 
-    /// View numbers never change, so they are written once for as many views as were ever needed.
-    fn prepare(&mut self, gpu: &Gpu, count: u32) {
-        if count <= self.written && self.group.is_some() {
+    /// View numbers never change, so they are written once for as many views as were ever needed, and anew for another
+    /// filter.
+    fn prepare(&mut self, gpu: &Gpu, count: u32, filter: ShadowFilter) {
+        if count <= self.written && self.group.is_some() && filter == self.filter {
             return;
         }
         let mut bytes = vec![0u8; (self.stride * u64::from(count)) as usize];
         for i in 0..count {
             let at = (u64::from(i) * self.stride) as usize;
             bytes[at..at + 4].copy_from_slice(&i.to_le_bytes());
+            bytes[at + 4..at + 8].copy_from_slice(&u32::from(filter == ShadowFilter::Evsm4).to_le_bytes());
         }
         self.views.reserve(gpu, bytes.len() as u64);
         gpu.upload(&self.views.buffer, 0, &bytes);
         self.written = count;
+        self.filter = filter;
         let binding = wgpu::BufferBinding {
             buffer: &self.views.buffer,
             offset: 0,
@@ -73,17 +85,19 @@ impl MomentsPass {
         scene: &SceneBuffers,
         plan: &ShadowPlan,
         targets: &ShadowTargets,
+        filter: ShadowFilter,
         clear_glass: bool,
     ) {
-        self.prepare(gpu, plan.views.len() as u32);
+        self.prepare(gpu, plan.views.len() as u32, filter);
         let Some(views) = &self.group else { return };
         for (maps, first_layer) in plan.lights.iter().zip(first_layers(plan)) {
             let arrays = if maps.count == 6 { &targets.faces } else { &targets.maps };
             for i in 0..maps.count {
                 let number = maps.first + i;
                 let view = &plan.views[number as usize];
-                // Where nothing is met both moments are 1.
-                let clear = wgpu::Color { r: 1.0, g: 1.0, b: 0.0, a: 1.0 };
+                // Where nothing is met depth is 1.
+                let [r, g, b, a] = moments_of(filter, 1.0).map(f64::from);
+                let clear = wgpu::Color { r, g, b, a };
                 let target = arrays.layer(first_layer + i);
                 let mut pass = draw_pass(encoder, "moments", target, clear, Some(&arrays.depth.view));
                 pass.set_pipeline(&self.pipeline);

@@ -1,6 +1,9 @@
 //! WGSL sources: imports, constants generated from Rust, dumping.
 
-use crate::twin::shadow::GAUSSIAN_7;
+use crate::twin::{
+    shadow::{EVSM_EXPONENTS, GAUSSIAN_7},
+    vpl_maps::{DEPTH_SLACK, NEAREST_PLANE},
+};
 
 use super::layouts;
 
@@ -34,6 +37,7 @@ pub const SHARED: &[(&str, &str)] = sources![
     "shared/shading",
     "shared/shadow",
     "shared/vpl",
+    "shared/vpl_maps",
     "shared/fullscreen",
 ];
 
@@ -77,6 +81,10 @@ pub fn generated_constants() -> String {
     // Stands for infinity, which shaders must not hold.
     f("FAR_AWAY", f32::MAX);
     f("SHADOW_NEAR_FRACTION", SHADOW_NEAR_FRACTION);
+    f("EVSM_POSITIVE", EVSM_EXPONENTS[0]);
+    f("EVSM_NEGATIVE", EVSM_EXPONENTS[1]);
+    f("VPL_DEPTH_SLACK", DEPTH_SLACK);
+    f("VPL_NEAREST_PLANE_INVERSE", 1.0 / NEAREST_PLANE);
     let [a, b, c, d] = GAUSSIAN_7;
     out.push_str(&format!("const GAUSSIAN_7: array<f32, 4> = array<f32, 4>({a:e}, {b:e}, {c:e}, {d:e});\n"));
     out

@@ -16,7 +16,8 @@ struct DirectUniform {
     visibility: u32,
     min_variance: f32,
     light_bleed_reduction: f32,
-    unused: u32,
+    // The maps hold exponential warps.
+    evsm: u32,
 }
 @group(1) @binding(0) var<uniform> pass_uniform: DirectUniform;
 @group(1) @binding(1) var position: texture_2d<f32>;
@@ -39,14 +40,18 @@ fn moments_visibility(light: Light, point_world: vec3f) -> f32 {
     if !(c.in_front && all(c.uv >= vec2f(0.0)) && all(c.uv <= vec2f(1.0))) {
         return 1.0;
     }
-    var moments: vec2f;
+    var moments: vec4f;
     if light.view_count == 6u {
         moments = sample_moments(moment_faces, light.first_layer + face, view.size, c.uv);
     } else {
         moments = sample_moments(moment_maps, light.first_layer, view.size, c.uv);
     }
+    if pass_uniform.evsm != 0u {
+        return evsm_visibility(
+            moments, c.depth, pass_uniform.min_variance, pass_uniform.light_bleed_reduction);
+    }
     return chebyshev_upper_bound(
-        moments, c.depth, pass_uniform.min_variance, pass_uniform.light_bleed_reduction);
+        moments.xy, c.depth, pass_uniform.min_variance, pass_uniform.light_bleed_reduction);
 }
 
 @vertex

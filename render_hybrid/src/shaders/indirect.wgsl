@@ -3,6 +3,7 @@
 #import shared/scene
 #import shared/octahedral
 #import shared/vpl
+#import shared/vpl_maps
 #import shared/fullscreen
 
 @group(0) @binding(2) var<storage, read> materials: array<Material>;
@@ -12,7 +13,8 @@ struct IndirectUniform {
     // 0 for the first chunk, which has nothing to add to.
     accumulate: u32,
     geometry_term_max: f32,
-    unused: u32,
+    // Texels a side of the VPLs' shadow maps; 0: they throw none.
+    map_size: u32,
     vpls: array<Vpl, VPL_CHUNK>,
 }
 @group(1) @binding(0) var<uniform> pass_uniform: IndirectUniform;
@@ -20,6 +22,8 @@ struct IndirectUniform {
 @group(1) @binding(2) var normals: texture_2d<f32>;
 @group(1) @binding(3) var base_color: texture_2d<f32>;
 @group(1) @binding(4) var previous: texture_2d<f32>;
+// One row a map.
+@group(1) @binding(5) var vpl_maps: texture_2d<f32>;
 
 @vertex
 fn vertex(@builtin(vertex_index) vertex_index: u32) -> @builtin(position) vec4f {
@@ -41,7 +45,14 @@ fn fragment(@builtin(position) position_pixel: vec4f) -> @location(0) vec4f {
     let n = octahedral_decode(textureLoad(normals, pixel, 0).zw);
     var sum = vec3f(0.0);
     for (var i = 0u; i < pass_uniform.count; i += 1u) {
-        sum += vpl_irradiance(pass_uniform.vpls[i], place.xyz, n, pass_uniform.geometry_term_max);
+        let irradiance = vpl_irradiance(pass_uniform.vpls[i], place.xyz, n, pass_uniform.geometry_term_max);
+        if pass_uniform.map_size == 0u {
+            sum += irradiance;
+        } else if any(irradiance > vec3f(0.0)) {
+            let vpl = pass_uniform.vpls[i];
+            let center = vpl.position_world + vpl.normal_world * vpl.error;
+            sum += irradiance * vpl_visibility(vpl_maps, vpl.map, pass_uniform.map_size, place.xyz - center, n);
+        }
     }
     var radiance = textureLoad(base_color, pixel, 0).xyz * (weight * sum);
     if pass_uniform.accumulate != 0u {

@@ -1,4 +1,4 @@
-// Shadow moments: (z, z²) of the nearest surface per texel of one shadow view.
+// Shadow moments of the nearest surface per texel of one shadow view.
 #import shared/scene
 #import shared/shadow
 
@@ -9,7 +9,8 @@
 
 struct MomentsUniform {
     view: u32,
-    unused0: u32,
+    // Texels hold both exponential warps and their squares, else depth and its square.
+    evsm: u32,
     unused1: u32,
     unused2: u32,
 }
@@ -45,6 +46,5 @@ fn vertex(@builtin(vertex_index) corner: u32, @builtin(instance_index) instance_
 
 @fragment
 fn fragment(in: Varyings) -> @location(0) vec4f {
-    let depth = clamp(in.depth, 0.0, 1.0);
-    return vec4f(depth, depth * depth, 0.0, 0.0);
+    return moments_of(pass_uniform.evsm, in.depth);
 }

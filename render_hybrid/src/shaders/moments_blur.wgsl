@@ -1,7 +1,7 @@
 // Separable 7x7 Gaussian over all layers of a moment array, clamped at the rim. Twin of the weights: twin/shadow.rs.
 
 @group(1) @binding(0) var source: texture_2d_array<f32>;
-@group(1) @binding(1) var destination: texture_storage_2d_array<rg32float, write>;
+@group(1) @binding(1) var destination: texture_storage_2d_array<rgba32float, write>;
 
 fn blur(texel: vec2u, layer: u32, axis: vec2i) {
     let size = vec2i(textureDimensions(source));
@@ -10,14 +10,14 @@ fn blur(texel: vec2u, layer: u32, axis: vec2i) {
         return;
     }
     // Outermost pair first, as on the CPU.
-    var sum = vec2f(0.0);
+    var sum = vec4f(0.0);
     for (var i = 3; i >= 1; i -= 1) {
-        let before = textureLoad(source, clamp(at - axis * i, vec2i(0), size - 1), layer, 0).xy;
-        let after = textureLoad(source, clamp(at + axis * i, vec2i(0), size - 1), layer, 0).xy;
+        let before = textureLoad(source, clamp(at - axis * i, vec2i(0), size - 1), layer, 0);
+        let after = textureLoad(source, clamp(at + axis * i, vec2i(0), size - 1), layer, 0);
         sum += (before + after) * GAUSSIAN_7[3 - i];
     }
-    sum += textureLoad(source, at, layer, 0).xy * GAUSSIAN_7[3];
-    textureStore(destination, at, layer, vec4f(sum, 0.0, 0.0));
+    sum += textureLoad(source, at, layer, 0) * GAUSSIAN_7[3];
+    textureStore(destination, at, layer, sum);
 }
 
 @compute @workgroup_size(8, 8)

@@ -6,7 +6,7 @@ use glam::Vec3;
 use std::f32::consts::{FRAC_1_PI, TAU};
 
 use super::{
-    points::{PointBatch, accumulate_vpls},
+    points::{PointBatch, accumulate_shadowed_vpls, accumulate_vpls},
     sampling,
     surface::{NormalMatrices, Surface},
 };
@@ -15,9 +15,11 @@ use crate::{
     output::RayCounts,
     settings::{RenderSettings, Shadows, SimdLevel, VplShadows},
     twin::{
+        certified::{Certainty, certify},
         shading::blinn_phong_lobe,
         shadow::ShadowMaps,
         vpl::{Vpl, vpl_irradiance},
+        vpl_maps::VplMaps,
     },
 };
 
@@ -34,6 +36,8 @@ pub struct FrameContext<'a> {
     pub maps: &'a ShadowMaps,
     /// VPLs with flux; empty where indirect light is off.
     pub vpls: &'a [Vpl],
+    /// Their shadow maps; empty unless their visibility comes from maps.
+    pub vpl_maps: &'a VplMaps,
     /// Bound of the geometry term, 1/m²; +infinity: none.
     pub geometry_term_max: f32,
     /// The frame's settings.
@@ -51,7 +55,14 @@ pub fn light_visibility(ctx: &FrameContext, light: u32, s: &Surface, pixel: u32,
             let position = ctx.scene.lights[light as usize].position_world;
             ctx.maps.visibility(light, position, s.position_world, &ctx.settings.moments)
         }
-        Shadows::Traced => {
+        Shadows::Traced | Shadows::Certified => {
+            if ctx.settings.shadows == Shadows::Certified {
+                match certify(ctx.maps, light, &ctx.scene.lights[light as usize], s) {
+                    Certainty::Lit => return 1.0,
+                    Certainty::Dark => return 0.0,
+                    Certainty::Unknown => {}
+                }
+            }
             let samples = if ctx.scene.lights[light as usize].radius > 0.0 { ctx.settings.shadow_samples } else { 1 };
             let turn = sampling::hash_combine(sampling::hash_combine(ctx.settings.seed, pixel), light);
             let rotation = TAU * sampling::unit_f32(turn);
@@ -140,9 +151,12 @@ pub fn indirect_light<'s>(
     if ctx.vpls.is_empty() || points.is_empty() {
         return;
     }
-    if shadows == VplShadows::Off {
-        accumulate_vpls(ctx.level, points, ctx.vpls, ctx.geometry_term_max);
-        return;
+    match shadows {
+        VplShadows::Off => return accumulate_vpls(ctx.level, points, ctx.vpls, ctx.geometry_term_max),
+        VplShadows::Maps => {
+            return accumulate_shadowed_vpls(ctx.level, points, ctx.vpls, ctx.vpl_maps, ctx.geometry_term_max);
+        }
+        VplShadows::Traced => {}
     }
     for vpl in ctx.vpls {
         scratch.clear();

@@ -5,20 +5,20 @@
 use catoptra_engine::RenderScene;
 use rayon::prelude::*;
 
-use super::shadow::{GAUSSIAN_7, ShadowMaps, ShadowPlan, ShadowView};
+use super::shadow::{GAUSSIAN_7, ShadowMaps, ShadowPlan, ShadowView, moments_of};
 use crate::{
     accel::{Accel, Hit, Ray},
-    settings::{GlassShadows, RenderSettings, SimdLevel},
+    settings::{GlassShadows, RenderSettings, ShadowFilter, Shadows, SimdLevel},
     simd::dispatch,
 };
 
 /// Rows of texels that one task makes; rays go in 4x4 blocks, so it is a multiple of 4.
 const BAND: usize = 8;
 
-/// Renders and filters all views of `plan` into `maps`, re-using its memory. Returns the number of rays.
+/// Renders and filters (or, for certified shadows, bounds) all views of `plan` into `maps`, re-using its memory. Returns the number of rays.
 pub fn render_moments(
     maps: &mut ShadowMaps,
-    scratch: &mut Vec<[f32; 2]>,
+    scratch: &mut Vec<[f32; 4]>,
     plan: ShadowPlan,
     scene: &RenderScene,
     accel: &Accel,
@@ -27,20 +27,26 @@ pub fn render_moments(
 ) -> u64 {
     maps.plan = plan;
     maps.maps.resize_with(maps.plan.views.len(), Vec::new);
+    let certified = settings.shadows == Shadows::Certified;
+    maps.pyramids.resize_with(if certified { maps.plan.views.len() } else { 0 }, Default::default);
     let mut rays = 0;
-    for (view, map) in maps.plan.views.iter().zip(&mut maps.maps) {
+    for (i, (view, map)) in maps.plan.views.iter().zip(&mut maps.maps).enumerate() {
         let size = view.size as usize;
-        map.resize(size * size, [1.0; 2]);
+        map.resize(size * size, [1.0; 4]);
         rays += depth_pass(view, map, scene, accel, settings);
-        blur_7x7(level, map, scratch, size);
+        if certified {
+            maps.pyramids[i].build(size, map.iter().map(|m| m[0]));
+        } else {
+            blur_7x7(level, map, scratch, size);
+        }
     }
     rays
 }
 
-/// Fills `map` with (z, z²) of the nearest surface through each texel's centre; (1, 1) where there is none.
+/// Fills `map` with [`moments_of`] the nearest surface through each texel's centre; of depth 1 where there is none.
 fn depth_pass(
     view: &ShadowView,
-    map: &mut [[f32; 2]],
+    map: &mut [[f32; 4]],
     scene: &RenderScene,
     accel: &Accel,
     settings: &RenderSettings,
@@ -57,6 +63,11 @@ fn depth_pass(
         } else {
             Ray { origin: view.origin_world + across, direction: view.forward, t_min: 0.0, t_max: view.far }
         }
+    };
+    // Certified shadows want depth itself.
+    let filter = match settings.shadows {
+        Shadows::Certified => ShadowFilter::Vsm,
+        _ => settings.moments.filter,
     };
     let casts = |hit: &Hit| {
         let m = &scene.materials[scene.instances[hit.instance_id as usize].material as usize];
@@ -92,7 +103,7 @@ fn depth_pass(
                         count += 1;
                     }
                     let z = if hit.is_hit() { (hit.t / view.far).min(1.0) } else { 1.0 };
-                    rows[*place] = [z, z * z];
+                    rows[*place] = moments_of(filter, z);
                 }
                 count
             },
@@ -101,10 +112,10 @@ fn depth_pass(
 }
 
 /// Separable Gaussian of 7 taps over a square map, clamped at the rim.
-pub fn blur_7x7(level: SimdLevel, map: &mut [[f32; 2]], scratch: &mut Vec<[f32; 2]>, size: usize) {
-    scratch.resize(size * size, [0.0; 2]);
+pub fn blur_7x7(level: SimdLevel, map: &mut [[f32; 4]], scratch: &mut Vec<[f32; 4]>, size: usize) {
+    scratch.resize(size * size, [0.0; 4]);
     scratch.par_chunks_mut(size).zip(map.par_chunks(size)).for_each(|(out, row)| blur_row(level, out, row));
-    let source: &[[f32; 2]] = scratch;
+    let source: &[[f32; 4]] = scratch;
     map.par_chunks_mut(size).enumerate().for_each(|(y, out)| {
         let row = |dy: isize| {
             let y = (y as isize + dy).clamp(0, size as isize - 1) as usize;
@@ -122,7 +133,7 @@ fn seven_taps(t: [f32; 7]) -> f32 {
 }
 
 #[inline(always)]
-fn blur_row_body(out: &mut [[f32; 2]], row: &[[f32; 2]]) {
+fn blur_row_body(out: &mut [[f32; 4]], row: &[[f32; 4]]) {
     let n = row.len();
     for x in (0..3.min(n)).chain(n.saturating_sub(3).max(3.min(n))..n) {
         let tap = |k: usize| row[(x + k).saturating_sub(3).min(n - 1)];
@@ -134,11 +145,11 @@ fn blur_row_body(out: &mut [[f32; 2]], row: &[[f32; 2]]) {
 }
 
 #[inline(always)]
-fn blur_column_body(out: &mut [[f32; 2]], rows: [&[[f32; 2]]; 7]) {
+fn blur_column_body(out: &mut [[f32; 4]], rows: [&[[f32; 4]]; 7]) {
     let n = out.len();
     let rows = rows.map(|r| &r[..n]);
     for x in 0..n {
-        for c in 0..2 {
+        for c in 0..4 {
             out[x][c] = seven_taps([
                 rows[0][x][c],
                 rows[1][x][c],
@@ -152,8 +163,8 @@ fn blur_column_body(out: &mut [[f32; 2]], rows: [&[[f32; 2]]; 7]) {
     }
 }
 
-dispatch! { fn blur_row => blur_row_body(out: &mut [[f32; 2]], row: &[[f32; 2]]) }
-dispatch! { fn blur_column => blur_column_body(out: &mut [[f32; 2]], rows: [&[[f32; 2]]; 7]) }
+dispatch! { fn blur_row => blur_row_body(out: &mut [[f32; 4]], row: &[[f32; 4]]) }
+dispatch! { fn blur_column => blur_column_body(out: &mut [[f32; 4]], rows: [&[[f32; 4]]; 7]) }
 
 #[cfg(test)]
 mod tests {
@@ -162,24 +173,28 @@ mod tests {
     #[test]
     fn blur_is_the_direct_sum_over_49_taps() {
         let size = 20usize;
-        let map: Vec<[f32; 2]> =
-            (0..size * size).map(|i| [(i * 37 % 101) as f32 / 101.0, (i * 17 % 89) as f32 / 89.0]).collect();
+        let map: Vec<[f32; 4]> = (0..size * size)
+            .map(|i| {
+                let v = |m: usize, n: usize| (i * m % n) as f32 / n as f32;
+                [v(37, 101), v(17, 89), v(5, 43), v(3, 71)]
+            })
+            .collect();
         let mut blurred = map.clone();
         blur_7x7(SimdLevel::Portable, &mut blurred, &mut Vec::new(), size);
         let weight = |k: i32| GAUSSIAN_7[(3 - k.abs()) as usize];
         for y in 0..size as i32 {
             for x in 0..size as i32 {
-                let mut sum = [0.0f64; 2];
+                let mut sum = [0.0f64; 4];
                 for dy in -3..=3 {
                     for dx in -3..=3 {
                         let cx = (x + dx).clamp(0, size as i32 - 1);
                         let cy = (y + dy).clamp(0, size as i32 - 1);
-                        for c in 0..2 {
+                        for c in 0..4 {
                             sum[c] += f64::from(weight(dx) * weight(dy) * map[(cy * size as i32 + cx) as usize][c]);
                         }
                     }
                 }
-                for c in 0..2 {
+                for c in 0..4 {
                     let b = f64::from(blurred[(y * size as i32 + x) as usize][c]);
                     assert!((b - sum[c]).abs() < 1e-6, "texel {x},{y}: {b} for {}", sum[c]);
                 }

@@ -4,9 +4,10 @@
 //! [`WIDEST_SPOT_DEGREES`]) six. Depth is linear along the view's axis, 0 at the light, 1 at the scene's far side.
 
 use catoptra_engine::{Aabb, Light, LightKind, math};
-use glam::{Vec2, Vec3};
+use glam::{Vec2, Vec3, Vec4, Vec4Swizzles};
 
-use crate::settings::MomentOptions;
+use super::certified::DepthPyramid;
+use crate::settings::{MomentOptions, ShadowFilter};
 
 /// Texels a map keeps beyond the light's own frustum, so that the 7x7 blur and bilinear filtering at its rim read true
 /// depths: 3 of the blur, 1 of the filter.
@@ -88,6 +89,57 @@ pub fn chebyshev_upper_bound(moments: Vec2, t: f32, min_variance: f32, light_ble
     let d = t - moments.x;
     let p = variance / (variance + d * d);
     ((p - light_bleed_reduction) / (1.0 - light_bleed_reduction)).clamp(0.0, 1.0)
+}
+
+/// Exponents of the positive and the negative warp. Higher: less bleeding, more noise; e^(2·40) is within f32's range with
+/// room for filtering, and beyond 5 the negative warp gains nothing against bleeding.
+pub const EVSM_EXPONENTS: [f32; 2] = [40.0, 5.0];
+
+/// The two warps (e^{c₊ζ}, −e^{−c₋ζ}) with ζ = 2z − 1, of a depth clamped to [0, 1] first; NaN counts as 1.
+///
+/// Twin: `shaders/shared/shadow.wgsl` (tests/twins_light.rs).
+/// Source: Lauritzen & McCool, "Layered Variance Shadow Maps", GI 2008.
+#[inline]
+pub fn evsm_warp(z: f32) -> Vec2 {
+    let z = clamp_depth(z) * 2.0 - 1.0;
+    Vec2::new(math::exp(EVSM_EXPONENTS[0] * z), -math::exp(-EVSM_EXPONENTS[1] * z))
+}
+
+/// Depth in [0, 1]; NaN becomes 1, as far as nothing met.
+#[inline]
+pub fn clamp_depth(z: f32) -> f32 {
+    if z < 1.0 { z.max(0.0) } else { 1.0 }
+}
+
+/// What a texel holds of depth `z`: (z, z², 0, 0), or both warps with their squares (w₊, w₊², w₋, w₋²).
+///
+/// Twin: `shaders/shared/shadow.wgsl` (tests/twins_light.rs).
+#[inline]
+pub fn moments_of(filter: ShadowFilter, z: f32) -> [f32; 4] {
+    match filter {
+        ShadowFilter::Vsm => {
+            let z = clamp_depth(z);
+            [z, z * z, 0.0, 0.0]
+        }
+        ShadowFilter::Evsm4 => {
+            let w = evsm_warp(z);
+            [w.x, w.x * w.x, w.y, w.y * w.y]
+        }
+    }
+}
+
+/// Fraction of light that reaches depth `t`: the lesser of the two warps' [`chebyshev_upper_bound`]s.
+///
+/// * `min_variance`: of z; each warp's floor is that times its slope squared
+///
+/// Twin: `shaders/shared/shadow.wgsl` (tests/twins_light.rs).
+#[inline]
+pub fn evsm_visibility(moments: Vec4, t: f32, min_variance: f32, light_bleed_reduction: f32) -> f32 {
+    let w = evsm_warp(t);
+    let floor = |c: f32, w: f32| min_variance * (2.0 * c * w) * (2.0 * c * w);
+    let near = chebyshev_upper_bound(moments.xy(), w.x, floor(EVSM_EXPONENTS[0], w.x), light_bleed_reduction);
+    let far = chebyshev_upper_bound(moments.zw(), w.y, floor(EVSM_EXPONENTS[1], w.y), light_bleed_reduction);
+    near.min(far)
 }
 
 /// Which of six faces (+X, -X, +Y, -Y, +Z, -Z) a direction falls on: the axis of greatest magnitude, ties to the earlier.
@@ -242,8 +294,10 @@ fn point_views(light: &Light, index: u32, bounds: Aabb, size: u32) -> [ShadowVie
 pub struct ShadowMaps {
     /// The views that the maps were made through.
     pub plan: ShadowPlan,
-    /// One map a view: (E[z], E[z²]) per texel, row 0 on top.
-    pub maps: Vec<Vec<[f32; 2]>>,
+    /// One map a view: filtered [`moments_of`] per texel, row 0 on top.
+    pub maps: Vec<Vec<[f32; 4]>>,
+    /// One a view where shadows are certified, in place of `maps`.
+    pub pyramids: Vec<DepthPyramid>,
 }
 
 impl ShadowMaps {
@@ -251,7 +305,7 @@ impl ShadowMaps {
     ///
     /// Twin: `shaders/shared/shadow.wgsl` (filtered by hand there too: RG32F filtering is optional in wgpu).
     #[inline]
-    pub fn sample(&self, view: u32, uv: Vec2) -> Vec2 {
+    pub fn sample(&self, view: u32, uv: Vec2) -> Vec4 {
         let size = self.plan.views[view as usize].size;
         let map = &self.maps[view as usize];
         let top = size as f32 - 1.0;
@@ -259,7 +313,7 @@ impl ShadowMaps {
         let (x0, y0) = (p.x as u32, p.y as u32);
         let (x1, y1) = ((x0 + 1).min(size - 1), (y0 + 1).min(size - 1));
         let (fx, fy) = (p.x - x0 as f32, p.y - y0 as f32);
-        let at = |x: u32, y: u32| Vec2::from(map[(y * size + x) as usize]);
+        let at = |x: u32, y: u32| Vec4::from(map[(y * size + x) as usize]);
         let a = at(x0, y0) + (at(x1, y0) - at(x0, y0)) * fx;
         let b = at(x0, y1) + (at(x1, y1) - at(x0, y1)) * fx;
         a + (b - a) * fy
@@ -277,7 +331,11 @@ impl ShadowMaps {
             return 1.0;
         }
         let moments = self.sample(view, c.uv);
-        chebyshev_upper_bound(moments, c.depth, options.min_variance, options.light_bleed_reduction)
+        let (floor, reduction) = (options.min_variance, options.light_bleed_reduction);
+        match options.filter {
+            ShadowFilter::Vsm => chebyshev_upper_bound(moments.xy(), c.depth, floor, reduction),
+            ShadowFilter::Evsm4 => evsm_visibility(moments, c.depth, floor, reduction),
+        }
     }
 }
 
@@ -294,6 +352,25 @@ mod tests {
             assert!((chebyshev_upper_bound(m, t, 1e-12, 0.0) - q).abs() < 1e-5);
         }
         assert_eq!(chebyshev_upper_bound(Vec2::new(0.5, 0.25), 0.5, 1e-7, 0.2), 1.0);
+    }
+
+    #[test]
+    fn warps_are_finite_and_two_occluders_do_not_bleed() {
+        for z in [f32::NAN, f32::INFINITY, f32::NEG_INFINITY, -3.0, 0.0, 0.5, 1.0, 9.0] {
+            assert!(moments_of(ShadowFilter::Evsm4, z).iter().all(|m| m.is_finite()), "{z}");
+            assert!(moments_of(ShadowFilter::Vsm, z).iter().all(|m| (0.0..=1.0).contains(m)), "{z}");
+        }
+        // Half of the filter sees an occluder at 0.3, half one at 0.6; the receiver at 0.8 is in the dark.
+        let mean = |f| {
+            let (a, b) = (Vec4::from(moments_of(f, 0.3)), Vec4::from(moments_of(f, 0.6)));
+            (a + b) * 0.5
+        };
+        let vsm = chebyshev_upper_bound(mean(ShadowFilter::Vsm).xy(), 0.8, 2e-7, 0.0);
+        let evsm = evsm_visibility(mean(ShadowFilter::Evsm4), 0.8, 2e-7, 0.0);
+        assert!(vsm > 0.15, "the classic bleed: {vsm}");
+        assert!(evsm < 0.002, "{evsm}");
+        // Fully lit at its own depth.
+        assert_eq!(evsm_visibility(Vec4::from(moments_of(ShadowFilter::Evsm4, 0.4)), 0.4, 2e-7, 0.2), 1.0);
     }
 
     #[test]

@@ -2,9 +2,11 @@
 
 struct Vpl {
     position_world: vec3f,
-    unused0: f32,
+    // The map's centre lies this far off the surface, metres.
+    error: f32,
     normal_world: vec3f,
-    unused1: f32,
+    // Row of its shadow map.
+    map: u32,
     flux: vec3f,
     unused2: f32,
 }

@@ -1,0 +1,90 @@
+//! Twins of the shadow filters and of the VPLs' maps, over tables of inputs.
+
+use catoptra_engine::glam::{Vec2, Vec3, Vec4};
+use catoptra_render_hybrid::{
+    ShadowFilter,
+    raster::testing::ShaderProbe,
+    twin::{
+        shadow::{evsm_visibility, moments_of},
+        vpl_maps::{octahedron_coordinates, octahedron_point, texel_occlusion},
+    },
+};
+use catoptra_tests::opened_or_skip;
+
+fn probe() -> Option<ShaderProbe> {
+    opened_or_skip("twins_light", ShaderProbe::new())
+}
+
+/// Numbers in [0, 1) that are the same on every run.
+fn noise(i: u32) -> f32 {
+    let h = (i.wrapping_mul(0x9E37_79B9) ^ 0x85EB_CA6B).wrapping_mul(0x7FEB_352D);
+    ((h ^ (h >> 15)) >> 8) as f32 / (1u32 << 24) as f32
+}
+
+fn assert_close<const M: usize>(name: &str, gpu: &[[f32; M]], cpu: &[[f32; M]], relative: f32, absolute: f32) {
+    assert_eq!(gpu.len(), cpu.len());
+    for (row, (g, c)) in gpu.iter().zip(cpu).enumerate() {
+        for (i, (a, b)) in g.iter().zip(c).enumerate() {
+            let bound = relative * b.abs() + absolute;
+            assert!((a - b).abs() <= bound, "{name}, row {row}, number {i}: GPU {a}, CPU {b}");
+        }
+    }
+}
+
+#[test]
+fn exponential_moments() {
+    let Some(probe) = probe() else { return };
+    let rows: Vec<[f32; 1]> = (0..400).map(|i| [noise(i) * 1.4 - 0.2]).collect();
+    let body = "let m = moments_of(1u, x[0]); y[0] = m.x; y[1] = m.y; y[2] = m.z; y[3] = m.w;";
+    let gpu = probe.evaluate(&["shared/shadow"], body, &rows).unwrap();
+    let cpu: Vec<_> = rows.iter().map(|r| moments_of(ShadowFilter::Evsm4, r[0])).collect();
+    // exp of up to 40 multiplies the rounding of its argument by 40; its square doubles that.
+    assert_close("moments_of", &gpu, &cpu, 2e-4, 0.0);
+
+    let rows: Vec<[f32; 4]> = (0..800).map(|i| [noise(i), noise(i + 900), noise(i + 1800), noise(i + 2700)]).collect();
+    let body =
+        "let m = mix(moments_of(1u, x[0]), moments_of(1u, x[1]), x[2]); y[0] = evsm_visibility(m, x[3], 2e-7, 0.2);";
+    let gpu = probe.evaluate(&["shared/shadow"], body, &rows).unwrap();
+    let cpu: Vec<_> = rows
+        .iter()
+        .map(|r| {
+            let (a, b) =
+                (Vec4::from(moments_of(ShadowFilter::Evsm4, r[0])), Vec4::from(moments_of(ShadowFilter::Evsm4, r[1])));
+            [evsm_visibility(a + (b - a) * r[2], r[3], 2e-7, 0.2)]
+        })
+        .collect();
+    let partial = cpu.iter().filter(|v| v[0] > 0.01 && v[0] < 0.99).count();
+    assert!(partial > 20, "{partial} partly lit");
+    assert_close("evsm_visibility", &gpu, &cpu, 0.0, 5e-3);
+}
+
+#[test]
+fn octahedral_maps() {
+    let Some(probe) = probe() else { return };
+    let rows: Vec<[f32; 3]> = (0..600)
+        .map(|i| [noise(i) * 2.0 - 1.0, noise(i + 700) * 2.0 - 1.0, noise(i + 1400) * 2.0 - 1.0])
+        .chain([[0.0, 0.0, 1.0], [0.0, 0.0, -1.0], [0.5, 0.5, 0.0], [-0.25, 0.25, -0.5]])
+        .collect();
+    let body = "let v = vec3f(x[0], x[1], x[2]);
+        let e = octahedron_coordinates(v, 1.0 / l1_length(v));
+        let p = octahedron_point(vec2f(x[0], x[1]));
+        y[0] = e.x; y[1] = e.y; y[2] = p.x; y[3] = p.y; y[4] = p.z;";
+    let gpu = probe.evaluate(&["shared/vpl_maps"], body, &rows).unwrap();
+    let cpu: Vec<_> = rows
+        .iter()
+        .map(|r| {
+            let v = Vec3::from(*r);
+            let e = octahedron_coordinates(v, 1.0 / (v.x.abs() + v.y.abs() + v.z.abs()));
+            let p = octahedron_point(Vec2::new(r[0], r[1]));
+            [e.x, e.y, p.x, p.y, p.z]
+        })
+        .collect();
+    assert_close("octahedron", &gpu, &cpu, 0.0, 2e-6);
+
+    let rows: Vec<[f32; 3]> = (0..600).map(|i| [noise(i) * 3.0, noise(i + 700) * 3.0, 0.2 + noise(i + 1400)]).collect();
+    let body = "y[0] = texel_occlusion(x[0], x[1], x[2], 1.0 / x[2]);";
+    let gpu = probe.evaluate(&["shared/vpl_maps"], body, &rows).unwrap();
+    let cpu: Vec<_> = rows.iter().map(|r| [texel_occlusion(r[0], r[1], r[2], 1.0 / r[2])]).collect();
+    // The slack multiplies roundings by 2/0.04.
+    assert_close("texel_occlusion", &gpu, &cpu, 0.0, 1e-4);
+}
