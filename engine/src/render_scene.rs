@@ -155,7 +155,7 @@ impl RenderScene {
             if let Some((field, value)) = m.invalid_field() {
                 return bad(format!("material {n}"), &format!("{field} = {value}"));
             }
-            for t in [m.base_color_texture, m.emissive_texture].into_iter().flatten() {
+            for t in m.textures() {
                 if t.texture as usize >= self.textures.len() {
                     return bad(format!("material {n}"), &format!("it names texture {}", t.texture));
                 }

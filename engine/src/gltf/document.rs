@@ -135,11 +135,12 @@ pub(super) struct Orthographic {
 pub(super) struct MaterialDef {
     pub name: Option<String>,
     pub pbr_metallic_roughness: Pbr,
-    pub normal_texture: Option<serde::de::IgnoredAny>,
+    pub normal_texture: Option<NormalTextureInfo>,
     pub occlusion_texture: Option<serde::de::IgnoredAny>,
     pub emissive_texture: Option<TextureInfo>,
     pub emissive_factor: Option<[f32; 3]>,
     pub alpha_mode: Option<String>,
+    pub alpha_cutoff: Option<f32>,
     pub extensions: Extensions,
     pub extras: Option<Value>,
 }
@@ -160,6 +161,18 @@ pub(super) struct TextureInfo {
     pub index: u32,
     #[serde(default)]
     pub tex_coord: u32,
+    #[serde(default)]
+    pub extensions: Extensions,
+}
+
+/// A [`TextureInfo`] with a factor.
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct NormalTextureInfo {
+    pub index: u32,
+    #[serde(default)]
+    pub tex_coord: u32,
+    pub scale: Option<f32>,
     #[serde(default)]
     pub extensions: Extensions,
 }

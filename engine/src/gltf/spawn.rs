@@ -38,9 +38,7 @@ impl ImportedScene {
         assets.textures.extend(self.textures.iter().cloned());
         assets.materials.extend(self.materials.iter().map(|m| {
             let mut m = *m;
-            for t in [&mut m.base_color_texture, &mut m.emissive_texture].into_iter().flatten() {
-                t.texture += first_texture;
-            }
+            m.textures_mut().for_each(|t| t.texture += first_texture);
             m
         }));
         if let Some(environment) = self.environment {
