@@ -410,7 +410,8 @@ fn a_wrong_twin_is_noticed() {
     // And so does a map that was not filtered by hand: neighbours differ.
     let maps = ShadowMaps {
         plan: ShadowPlan { views: vec![ShadowView { size: 2, ..views()[0] }], lights: vec![] },
-        maps: vec![vec![[0.0, 0.0], [1.0, 1.0], [0.0, 0.0], [1.0, 1.0]]],
+        maps: vec![vec![[0.0; 4], [1.0; 4], [0.0; 4], [1.0; 4]]],
+        pyramids: vec![],
     };
     assert_eq!(maps.sample(0, Vec2::new(0.5, 0.5)).x, 0.5);
 }
