@@ -28,7 +28,7 @@ pub(super) struct Document {
     #[serde(default)]
     pub skins: Vec<Skin>,
     #[serde(default)]
-    pub animations: Vec<serde::de::IgnoredAny>,
+    pub animations: Vec<AnimationDef>,
     #[serde(default)]
     pub cameras: Vec<CameraDef>,
     #[serde(default)]
@@ -108,6 +108,33 @@ pub(super) struct Skin {
     pub inverse_bind_matrices: Option<u32>,
     #[serde(default)]
     pub joints: Vec<u32>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct AnimationDef {
+    #[serde(default)]
+    pub channels: Vec<ChannelDef>,
+    #[serde(default)]
+    pub samplers: Vec<AnimationSamplerDef>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct ChannelDef {
+    pub sampler: u32,
+    pub target: TargetDef,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct TargetDef {
+    pub node: Option<u32>,
+    pub path: String,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct AnimationSamplerDef {
+    pub input: u32,
+    pub output: u32,
+    pub interpolation: Option<String>,
 }
 
 #[derive(Debug, Deserialize)]

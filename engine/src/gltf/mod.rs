@@ -2,7 +2,7 @@
 //!
 //! **In**: [`load_gltf`] gives an [`ImportedScene`] (flat arrays), which [`ImportedScene::spawn`] turns into entities or
 //! [`ImportedScene::to_render_scene`] into a `RenderScene`. Read are nodes, meshes (lists, strips, fans; sparse,
-//! interleaved, normalised, quantised), morph targets and skins at the pose of the file, base-colour and emissive textures,
+//! interleaved, normalised, quantised), morph targets and skins, the first animation of nodes, weights and skins ([`crate::animation`]), base-colour and emissive textures,
 //! samplers, normal maps, alpha masks, cameras, and the extensions `KHR_lights_punctual`, `KHR_materials_{transmission, ior, volume, specular,
 //! emissive_strength, unlit, pbrSpecularGlossiness}`, `KHR_mesh_quantization`, `KHR_texture_transform`. Shading is two-sided whatever
 //! `doubleSided` says; thickness of volumes is ignored, the geometry is. All else is listed in [`ImportReport::ignored`],
@@ -35,6 +35,7 @@
 //! before use; degenerate triangles are kept (no ray meets them); positions that are not finite are an error.
 
 mod accessor;
+mod animation;
 mod buffers;
 mod container;
 mod document;
@@ -58,5 +59,5 @@ pub use import::{load_gltf, load_gltf_bytes};
 pub use limits::ImportLimits;
 pub use materials::{MAX_SHININESS, roughness_from_shininess, shininess_from_roughness};
 pub use report::ImportReport;
-pub use scene::{ImportedNode, ImportedPrimitive, ImportedScene};
+pub use scene::{ImportedAnimation, ImportedDeformation, ImportedNode, ImportedPrimitive, ImportedScene};
 pub use spawn::Spawned;

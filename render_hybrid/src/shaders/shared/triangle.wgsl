@@ -1,3 +1,5 @@
+#import shared/scene
+
 // Where a line meets a triangle: weights of the second and third vertex, kept inside the triangle.
 //
 // The rasteriser has already decided that the pixel belongs to the triangle; a centre that lies a rounding error outside
