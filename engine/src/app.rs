@@ -1,7 +1,8 @@
 //! Wiring: one plugin that makes a bevy app a world that can be drawn.
 
-use crate::{assets::Assets, clock::ClockPlugin, clock::FixedClock, extract};
+use crate::{animation, assets::Assets, clock::ClockPlugin, clock::FixedClock, clock::FixedUpdate, extract};
 use bevy_app::{App, Last, Plugin};
+use bevy_ecs::schedule::IntoScheduleConfigs;
 use bevy_transform::plugins::TransformPlugin;
 
 /// Clock, transforms and extraction. After `App::update` the [`crate::Extracted`] resource holds the scene.
@@ -19,7 +20,8 @@ impl Plugin for EnginePlugin {
             .init_resource::<extract::Extracted>()
             .init_resource::<extract::ExtractedCameras>()
             .init_resource::<extract::ExtractIndex>()
-            .add_systems(Last, extract::extract);
+            .add_systems(FixedUpdate, animation::animate)
+            .add_systems(Last, (animation::deform, extract::extract).chain());
     }
 }
 

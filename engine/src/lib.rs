@@ -6,6 +6,7 @@
 //!
 //! Space is right-handed, +Y up, metres; cameras and lights look along their own -Z, as in glTF.
 
+pub mod animation;
 pub mod app;
 pub mod assets;
 pub mod camera;

@@ -88,6 +88,18 @@ pub struct Material {
     pub attenuation_distance: f32,
     /// Nested glass: where volumes overlap, the higher priority fills the space; equal: the one entered last.
     pub priority: i32,
+    /// Light passes straight on, without Fresnel reflection, bend or tint, whatever the mesh: `transmission` is then the share
+    /// that is not covered (glTF's alpha blending).
+    pub thin: bool,
+    /// Multiplies the base colour texture's alpha where there is an `alpha_cutoff`, in [0, 1].
+    pub alpha: f32,
+    /// The surface has holes where alpha × texture × vertex alpha is less, in [0, 1]; 0: it has none.
+    pub alpha_cutoff: f32,
+    /// Tangent-space normals, linear image: (x, y, z) = 2 · (r, g, b) − 1, x along u, y against v, z outwards. The frame is
+    /// the triangle's own, from its texture coordinates.
+    pub normal_texture: Option<TextureRef>,
+    /// Multiplies x and y of `normal_texture`, finite.
+    pub normal_scale: f32,
     /// Shows base_color × texture as emitted radiance, lit by nothing (`KHR_materials_unlit`).
     pub unlit: bool,
 }
@@ -110,6 +122,11 @@ impl Default for Material {
             attenuation_color: Vec3::ONE,
             attenuation_distance: f32::INFINITY,
             priority: 0,
+            thin: false,
+            alpha: 1.0,
+            alpha_cutoff: 0.0,
+            normal_texture: None,
+            normal_scale: 1.0,
             unlit: false,
         }
     }
@@ -138,6 +155,19 @@ impl Material {
     pub fn is_traced(&self) -> bool {
         self.mirror > 0.0 || self.transmission > 0.0
     }
+    /// True where the surface may have holes.
+    #[inline]
+    pub fn is_cutout(&self) -> bool {
+        self.alpha_cutoff > 0.0
+    }
+    /// All textures that it uses.
+    pub fn textures(&self) -> impl Iterator<Item = &TextureRef> {
+        [&self.base_color_texture, &self.emissive_texture, &self.normal_texture].into_iter().flatten()
+    }
+    /// All textures that it uses, to be renumbered.
+    pub fn textures_mut(&mut self) -> impl Iterator<Item = &mut TextureRef> {
+        [&mut self.base_color_texture, &mut self.emissive_texture, &mut self.normal_texture].into_iter().flatten()
+    }
     /// First field that is out of its range, with its value.
     pub fn invalid_field(&self) -> Option<(&'static str, f32)> {
         let unit = |v: f32| (0.0..=1.0).contains(&v);
@@ -159,6 +189,8 @@ impl Material {
             ("diffuse", self.diffuse),
             ("mirror", self.mirror),
             ("transmission", self.transmission),
+            ("alpha", self.alpha),
+            ("alpha_cutoff", self.alpha_cutoff),
         ];
         for (name, v) in factors {
             if !unit(v) {
@@ -167,6 +199,9 @@ impl Material {
         }
         if !(self.shininess >= 0.0 && self.shininess.is_finite()) {
             return Some(("shininess", self.shininess));
+        }
+        if !self.normal_scale.is_finite() {
+            return Some(("normal_scale", self.normal_scale));
         }
         if !(self.ior >= 1.0 && self.ior.is_finite()) {
             return Some(("ior", self.ior));

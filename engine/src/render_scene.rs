@@ -36,7 +36,7 @@ pub struct Environment {
 ///
 /// `revision` and `moved` let a renderer update only what moved; they are hints that never change the picture: a renderer
 /// that missed a revision (or met another world's scene, told by `origin`) compares everything.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 pub struct RenderScene {
     /// Meshes; two instances of one mesh share its acceleration structure. Identity is the `Arc`'s address.
     pub meshes: Vec<Arc<Mesh>>,
@@ -85,6 +85,25 @@ pub enum SceneError {
         /// What is wrong with it.
         why: String,
     },
+}
+
+impl Clone for RenderScene {
+    /// A copy with an `origin` of its own: from here on the two go their own ways, and revisions count within one history.
+    fn clone(&self) -> Self {
+        Self {
+            meshes: self.meshes.clone(),
+            textures: self.textures.clone(),
+            materials: self.materials.clone(),
+            instances: self.instances.clone(),
+            lights: self.lights.clone(),
+            camera: self.camera,
+            environment: self.environment,
+            origin: Arc::default(),
+            revision: self.revision,
+            moved: self.moved.clone(),
+            structure_revision: self.structure_revision,
+        }
+    }
 }
 
 impl RenderScene {
@@ -136,7 +155,7 @@ impl RenderScene {
             if let Some((field, value)) = m.invalid_field() {
                 return bad(format!("material {n}"), &format!("{field} = {value}"));
             }
-            for t in [m.base_color_texture, m.emissive_texture].into_iter().flatten() {
+            for t in m.textures() {
                 if t.texture as usize >= self.textures.len() {
                     return bad(format!("material {n}"), &format!("it names texture {}", t.texture));
                 }

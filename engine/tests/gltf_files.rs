@@ -291,8 +291,8 @@ fn samples_survive_export() {
         for (x, y) in first.instances.iter().zip(&second.instances) {
             let (x, y) = (first.materials[x.material as usize], second.materials[y.material as usize]);
             assert_eq!(
-                Material { base_color_texture: None, emissive_texture: None, ..x },
-                Material { base_color_texture: None, emissive_texture: None, ..y },
+                Material { base_color_texture: None, emissive_texture: None, normal_texture: None, ..x },
+                Material { base_color_texture: None, emissive_texture: None, normal_texture: None, ..y },
                 "{}",
                 name(&path)
             );

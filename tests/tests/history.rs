@@ -15,10 +15,11 @@ use catoptra_engine::{
 };
 use catoptra_render_hybrid::{RenderSettings, Renderer};
 use catoptra_tests::{
+    HandScene, at,
     ecs::{extract_now, fresh_copy},
     fixtures::{SCENE_NAMES, app_at, cpu, extracted, fresh, small},
 };
-use glam::{Quat, Vec3};
+use glam::{Affine3, Quat, Vec3};
 
 /// Numbers from a seed, the same everywhere.
 struct Dice(u32);
@@ -274,4 +275,22 @@ fn refits_grow_with_what_moved() {
     }
     assert!(counts.windows(2).all(|w| w[0].1 <= w[1].1), "{counts:?}");
     assert!(counts[1].1 * 20 < first.tlas_nodes_touched, "one body in 4,096 is far from the whole tree");
+}
+
+/// Copies of one scene that are moved apart: revisions count within one history, so a copy starts one of its own.
+#[test]
+fn forked_scenes_are_told_apart() {
+    let mut first = HandScene::parallel(Vec3::Z * 5.0, Vec3::NEG_Z, 2.0).background(Vec3::ONE);
+    first.add(cuboid(Vec3::splat(0.5), [Vec3::ONE; 6]), Material::lambert(Vec3::ZERO), Affine3::IDENTITY);
+    let mut second = first.clone();
+    for (scene, x) in [(&mut first, -1.0), (&mut second, 1.0)] {
+        scene.0.begin_revision();
+        scene.0.set_transform(0, at(Vec3::X * x));
+    }
+    let settings = HandScene::settings(16, 16);
+    let mut renderer = cpu();
+    let other = renderer.render(&first.0, &settings).unwrap().image.hash();
+    let seen = renderer.render(&second.0, &settings).unwrap().image.hash();
+    assert_eq!(seen, second.render(&settings).image.hash(), "the second scene is drawn as the first");
+    assert_ne!(seen, other);
 }

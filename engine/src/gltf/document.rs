@@ -28,7 +28,7 @@ pub(super) struct Document {
     #[serde(default)]
     pub skins: Vec<Skin>,
     #[serde(default)]
-    pub animations: Vec<serde::de::IgnoredAny>,
+    pub animations: Vec<AnimationDef>,
     #[serde(default)]
     pub cameras: Vec<CameraDef>,
     #[serde(default)]
@@ -111,6 +111,33 @@ pub(super) struct Skin {
 }
 
 #[derive(Debug, Deserialize)]
+pub(super) struct AnimationDef {
+    #[serde(default)]
+    pub channels: Vec<ChannelDef>,
+    #[serde(default)]
+    pub samplers: Vec<AnimationSamplerDef>,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct ChannelDef {
+    pub sampler: u32,
+    pub target: TargetDef,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct TargetDef {
+    pub node: Option<u32>,
+    pub path: String,
+}
+
+#[derive(Debug, Deserialize)]
+pub(super) struct AnimationSamplerDef {
+    pub input: u32,
+    pub output: u32,
+    pub interpolation: Option<String>,
+}
+
+#[derive(Debug, Deserialize)]
 pub(super) struct CameraDef {
     #[serde(rename = "type")]
     pub kind: String,
@@ -135,11 +162,12 @@ pub(super) struct Orthographic {
 pub(super) struct MaterialDef {
     pub name: Option<String>,
     pub pbr_metallic_roughness: Pbr,
-    pub normal_texture: Option<serde::de::IgnoredAny>,
+    pub normal_texture: Option<NormalTextureInfo>,
     pub occlusion_texture: Option<serde::de::IgnoredAny>,
     pub emissive_texture: Option<TextureInfo>,
     pub emissive_factor: Option<[f32; 3]>,
     pub alpha_mode: Option<String>,
+    pub alpha_cutoff: Option<f32>,
     pub extensions: Extensions,
     pub extras: Option<Value>,
 }
@@ -160,6 +188,18 @@ pub(super) struct TextureInfo {
     pub index: u32,
     #[serde(default)]
     pub tex_coord: u32,
+    #[serde(default)]
+    pub extensions: Extensions,
+}
+
+/// A [`TextureInfo`] with a factor.
+#[derive(Debug, Deserialize)]
+#[serde(rename_all = "camelCase")]
+pub(super) struct NormalTextureInfo {
+    pub index: u32,
+    #[serde(default)]
+    pub tex_coord: u32,
+    pub scale: Option<f32>,
     #[serde(default)]
     pub extensions: Extensions,
 }

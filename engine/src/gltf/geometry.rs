@@ -10,6 +10,7 @@ use super::{
     report::Ignored,
     scene::cofactor,
 };
+use crate::animation::Deformation;
 use crate::mesh::{Mesh, MeshData};
 use glam::{Affine3, Mat3, Vec2, Vec3, Vec4};
 use std::{collections::BTreeMap, sync::Arc};
@@ -24,9 +25,11 @@ pub(super) struct Deform {
     pub weights: Vec<f32>,
     /// Number of the skin, and one matrix a joint: world space from bind space.
     pub skin: Option<(u32, Arc<[Affine3]>)>,
+    /// The node, where an animation will change the mesh: it gets one of its own, and what that is made of is kept.
+    pub animated: Option<u32>,
 }
 
-type Key = (Vec<(String, u32)>, Option<u32>, u32, Vec<u32>, Option<u32>);
+type Key = (Vec<(String, u32)>, Option<u32>, u32, Vec<u32>, Option<u32>, Option<u32>);
 
 /// Builds meshes, sharing those that are built from the same data in the same way.
 pub(super) struct Geometry<'a> {
@@ -37,11 +40,24 @@ pub(super) struct Geometry<'a> {
     triangles: u64,
     cache: BTreeMap<Key, Option<usize>>,
     pub meshes: Vec<Arc<Mesh>>,
+    /// What animated meshes are made of, by mesh.
+    pub sources: BTreeMap<usize, Deformation>,
+    source: Option<Deformation>,
 }
 
 impl<'a> Geometry<'a> {
     pub fn new(document: &'a Document, buffers: &'a Buffers<'a>, limits: &'a ImportLimits) -> Self {
-        Self { document, buffers, limits, vertices: 0, triangles: 0, cache: BTreeMap::new(), meshes: Vec::new() }
+        Self {
+            document,
+            buffers,
+            limits,
+            vertices: 0,
+            triangles: 0,
+            cache: BTreeMap::new(),
+            meshes: Vec::new(),
+            sources: BTreeMap::new(),
+            source: None,
+        }
     }
 
     /// Number of the mesh of a primitive; `None` where it draws nothing (points, lines, no positions).
@@ -72,13 +88,17 @@ impl<'a> Geometry<'a> {
                 attributes.push((name.clone(), accessor));
             }
         }
-        let key = (attributes, primitive.indices, primitive.mode, bits, deform.skin.as_ref().map(|s| s.0));
+        let key =
+            (attributes, primitive.indices, primitive.mode, bits, deform.skin.as_ref().map(|s| s.0), deform.animated);
         if let Some(&known) = self.cache.get(&key) {
             return Ok(known);
         }
         let built = match self.build(primitive, deform, place, ignored)? {
             Some(data) => {
                 let mesh = Mesh::new(data).map_err(|e| GltfError::invalid(place, e.to_string()))?;
+                if let Some(source) = self.source.take() {
+                    self.sources.insert(self.meshes.len(), source);
+                }
                 self.meshes.push(Arc::new(mesh));
                 Some(self.meshes.len() - 1)
             }
@@ -182,12 +202,20 @@ impl<'a> Geometry<'a> {
             let unit = |x: f32| if x > 0.0 { x.min(1.0) } else { 0.0 };
             data.colors = kept.iter().map(|&v| Vec4::from(a.read(v as usize, [1.0; 4]).map(unit))).collect();
         }
+        let held_by = match &deform.skin {
+            Some((skin, _)) => match (attribute("JOINTS_0", 4..=4)?, attribute("WEIGHTS_0", 4..=4)?) {
+                (Some(j), Some(w)) => Some((j, w)),
+                _ => return Err(GltfError::invalid(place, format!("skin {skin} needs JOINTS_0 and WEIGHTS_0"))),
+            },
+            None => None,
+        };
+        self.source = match deform.animated {
+            Some(_) => Some(self.keep(primitive, deform, &kept, &data, positions.count, place)?),
+            None => None,
+        };
         self.morph(primitive, deform, &kept, &mut data, positions.count, place)?;
-        if let Some((skin, joints)) = &deform.skin {
-            let (Some(j), Some(w)) = (attribute("JOINTS_0", 4..=4)?, attribute("WEIGHTS_0", 4..=4)?) else {
-                return Err(GltfError::invalid(place, format!("skin {skin} needs JOINTS_0 and WEIGHTS_0")));
-            };
-            pose(&mut data, &kept, joints, &j, &w, place)?;
+        if let (Some((_, joints)), Some((j, w))) = (&deform.skin, &held_by) {
+            pose(&mut data, &kept, joints, j, w, place)?;
         }
         let limit = self.limits.coordinate;
         if let Some(v) = data.positions.iter().position(|p| !p.is_finite() || p.abs().max_element() > limit) {
@@ -197,6 +225,43 @@ impl<'a> Geometry<'a> {
         }
         mend_normals(&mut data, ignored);
         Ok(Some(data))
+    }
+
+    /// Everything that the mesh is posed from.
+    fn keep(
+        &mut self,
+        primitive: &Primitive,
+        deform: &Deform,
+        kept: &[u32],
+        data: &MeshData,
+        count: usize,
+        place: &str,
+    ) -> Result<Deformation, GltfError> {
+        self.vertices = self.vertices.saturating_add((primitive.targets.len() as u64 + 2) * kept.len() as u64);
+        within("vertices", self.vertices, self.limits.vertices)?;
+        let mut out = Deformation { data: data.clone(), ..Default::default() };
+        for target in &primitive.targets {
+            let read = |name: &str| -> Result<Vec<Vec3>, GltfError> {
+                let Some(&index) = target.get(name) else { return Ok(Vec::new()) };
+                let a = self.open(index, place)?;
+                if a.count != count || a.components != 3 {
+                    return Err(GltfError::invalid(place, format!("a morph target's {name} does not fit the mesh")));
+                }
+                Ok(kept.iter().map(|&v| Vec3::from(a.read(v as usize, [0.0; 3]))).collect())
+            };
+            out.targets.push((read("POSITION")?, read("NORMAL")?));
+        }
+        if let (Some(_), Some(&j), Some(&w)) =
+            (&deform.skin, primitive.attributes.get("JOINTS_0"), primitive.attributes.get("WEIGHTS_0"))
+        {
+            let (j, w) = (self.open(j, place)?, self.open(w, place)?);
+            // Checked in full where the pose of the file is made.
+            if j.is_index_type() && j.count == count && w.count == count {
+                out.joints = kept.iter().map(|&v| j.read_joints(v as usize)).collect();
+                out.weights = kept.iter().map(|&v| w.read(v as usize, [0.0; 4])).collect();
+            }
+        }
+        Ok(out)
     }
 
     /// Adds weighted morph targets.

@@ -2,6 +2,7 @@
 
 use super::{
     accessor::Accessor,
+    animation,
     buffers::{Buffers, Source, read_file},
     container,
     document::{Document, Node, item, own_extras},
@@ -10,7 +11,7 @@ use super::{
     limits::ImportLimits,
     materials, nodes, punctual,
     report::Ignored,
-    scene::{ImportedNode, ImportedPrimitive, ImportedScene, invertible},
+    scene::{ImportedAnimation, ImportedDeformation, ImportedNode, ImportedPrimitive, ImportedScene, invertible},
     textures::Textures,
 };
 use crate::{material::Material, mesh::Aabb, render_scene::Environment};
@@ -88,6 +89,8 @@ pub fn load_gltf_bytes(bytes: &[u8], base: Option<&Path>, limits: &ImportLimits)
         }
     }
 
+    let tracks = animation::first(&document, &buffers, limits, &mut ignored)?;
+
     // Meshes, and the materials that they use.
     let mut geometry = Geometry::new(&document, &buffers, limits);
     let mut textures = Textures::new(&document, &buffers, limits, &mut source);
@@ -114,7 +117,9 @@ pub fn load_gltf_bytes(bytes: &[u8], base: Option<&Path>, limits: &ImportLimits)
         if weights.iter().any(|w| !w.is_finite()) {
             return Err(GltfError::invalid(format!("node {number}"), "a morph weight is not finite"));
         }
-        let deform = Deform { weights, skin };
+        let morphs = tracks.of_node.get(&number).is_some_and(|t| t.weights.is_some());
+        let animated = (morphs || (skin.is_some() && !tracks.of_node.is_empty())).then_some(number);
+        let deform = Deform { weights, skin, animated };
         let mut primitives = Vec::new();
         for (i, primitive) in def.primitives.iter().enumerate() {
             let place = &format!("mesh {mesh}, primitive {i}");
@@ -128,6 +133,14 @@ pub fn load_gltf_bytes(bytes: &[u8], base: Option<&Path>, limits: &ImportLimits)
                 }
             };
             primitives.push(ImportedPrimitive { mesh: built, material });
+            if let Some(source) = geometry.sources.remove(&built) {
+                let joints = match node.skin {
+                    Some(skin) => binds(&document, &buffers, skin, &place_of)?,
+                    None => Arc::default(),
+                };
+                let (weights, source) = (deform.weights.clone(), Arc::new(source));
+                scene.deformations.push(ImportedDeformation { mesh: built, node: at, weights, source, joints });
+            }
         }
         if deform.skin.is_some() {
             // A skin poses the mesh in world space; the node's own pose does not count.
@@ -146,6 +159,13 @@ pub fn load_gltf_bytes(bytes: &[u8], base: Option<&Path>, limits: &ImportLimits)
             scene.nodes[at].primitives = primitives;
         }
     }
+    for (number, tracks) in tracks.of_node {
+        match place_of[number as usize] {
+            Some(node) => scene.animations.push(ImportedAnimation { node, tracks: Arc::new(tracks) }),
+            None => ignored.note("animation of nodes outside the scene"),
+        }
+    }
+    scene.duration = tracks.duration;
     scene.meshes = geometry.meshes;
     scene.textures = textures.textures;
     scene.environment = environment(&document);
@@ -161,9 +181,6 @@ fn note_unsupported(document: &Document, ignored: &mut Ignored) {
         if !container::SUPPORTED.contains(&name.as_str()) {
             ignored.note(format!("extension {name}"));
         }
-    }
-    if !document.animations.is_empty() {
-        ignored.note("animations (the rest pose is shown)");
     }
     if document.scenes.len() > 1 {
         ignored.note("scenes beside the shown one");
@@ -184,6 +201,25 @@ fn material(
             materials::translate(def, &format!("material {index}"), textures, ignored)
         }
     }
+}
+
+/// Each joint of a skin that [`joints`] has checked: its place in the scene, and its bind space from the mesh's.
+fn binds(
+    document: &Document,
+    buffers: &Buffers,
+    skin: u32,
+    place_of: &[Option<usize>],
+) -> Result<Arc<[(Option<usize>, Affine3)]>, GltfError> {
+    let def = item(&document.skins, skin, "skin", "node")?;
+    let binds = def.inverse_bind_matrices.map(|i| Accessor::open(document, buffers, i, "skin")).transpose()?;
+    let bind = |i: usize| binds.as_ref().map_or(Affine3::IDENTITY, |a| bind_matrix(a, i));
+    Ok(def.joints.iter().enumerate().map(|(i, &joint)| (place_of[joint as usize], bind(i))).collect())
+}
+
+fn bind_matrix(a: &Accessor, i: usize) -> Affine3 {
+    let m = a.read::<16>(i, [0.0; 16]);
+    let column = |c: usize| Vec3::new(m[4 * c], m[4 * c + 1], m[4 * c + 2]);
+    Affine3 { matrix3: Mat3::from_cols(column(0), column(1), column(2)), translation: column(3) }
 }
 
 /// Joint matrices of a skin, world space from bind space, at the pose of the file.
@@ -217,11 +253,7 @@ fn joints(
                 Affine3::IDENTITY
             }
         };
-        let bind = binds.as_ref().map_or(Affine3::IDENTITY, |a| {
-            let m = a.read::<16>(i, [0.0; 16]);
-            let column = |c: usize| Vec3::new(m[4 * c], m[4 * c + 1], m[4 * c + 2]);
-            Affine3 { matrix3: Mat3::from_cols(column(0), column(1), column(2)), translation: column(3) }
-        });
+        let bind = binds.as_ref().map_or(Affine3::IDENTITY, |a| bind_matrix(a, i));
         out.push(pose * bind);
     }
     Ok(out.into())

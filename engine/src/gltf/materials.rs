@@ -215,16 +215,15 @@ pub(super) fn translate(
     }
     m.unlit = ext.as_ref().is_some_and(|e| e.contains_key("KHR_materials_unlit"));
 
-    for (what, there) in [
-        ("normalTexture", def.normal_texture.is_some()),
-        ("occlusionTexture", def.occlusion_texture.is_some()),
-        ("alphaMode MASK (opaque is used)", def.alpha_mode.as_deref() == Some("MASK")),
-        ("alphaMode BLEND (opaque is used)", def.alpha_mode.as_deref() == Some("BLEND")),
-    ] {
-        if there {
-            ignored.note(what);
-        }
+    if let Some(n) = &def.normal_texture {
+        let info = TextureInfo { index: n.index, tex_coord: n.tex_coord, extensions: n.extensions.clone() };
+        m.normal_texture = textures.reference(&info, false, place, ignored)?;
+        m.normal_scale = n.scale.unwrap_or(1.0);
     }
+    if def.occlusion_texture.is_some() {
+        ignored.note("occlusionTexture");
+    }
+    coverage(&mut m, def, place, textures, ignored)?;
     if let Some(own) = own_extras(&def.extras) {
         apply_extras(&mut m, own);
     }
@@ -232,6 +231,68 @@ pub(super) fn translate(
         Some((field, value)) => Err(GltfError::invalid(place, format!("{field} comes out as {value}"))),
         None => Ok(m),
     }
+}
+
+/// Share of texels of middling alpha up to which a blended texture counts as cut out.
+const CUT_OUT: f32 = 0.25;
+
+/// Alpha mask and alpha blending.
+fn coverage(
+    m: &mut Material,
+    def: &MaterialDef,
+    place: &str,
+    textures: &Textures,
+    ignored: &mut Ignored,
+) -> Result<(), GltfError> {
+    let factor = match extension::<SpecularGlossiness>(&def.extensions, "KHR_materials_pbrSpecularGlossiness", place)? {
+        Some(old) => old.diffuse_factor[3],
+        None => def.pbr_metallic_roughness.base_color_factor.map_or(1.0, |c| c[3]),
+    };
+    if !factor.is_finite() {
+        return Err(GltfError::invalid(place, "the base colour's alpha is not finite"));
+    }
+    let alpha = factor.clamp(0.0, 1.0);
+    match def.alpha_mode.as_deref() {
+        None | Some("OPAQUE") => {}
+        Some("MASK") => {
+            let cutoff = def.alpha_cutoff.unwrap_or(0.5);
+            if !(cutoff >= 0.0) {
+                return Err(GltfError::invalid(place, format!("alphaCutoff {cutoff} is not a number from 0 on")));
+            }
+            // Beyond 1 nothing would remain: the same as a surface that is all hole.
+            (m.alpha, m.alpha_cutoff) = if cutoff > 1.0 { (0.0, 1.0) } else { (alpha, cutoff) };
+        }
+        Some("BLEND") => {
+            let (mean, between) = m.base_color_texture.map_or((1.0, 1.0), |t| textures.mean_alpha(t.texture));
+            if mean < 1.0 && between <= CUT_OUT && alpha >= 0.5 {
+                ignored.note("alphaMode BLEND of textures that are all or nothing (cut out at one half)");
+                (m.alpha, m.alpha_cutoff) = (1.0, 0.5);
+                return Ok(());
+            }
+            if mean < 1.0 {
+                ignored.note("alphaMode BLEND by texture (its mean is used)");
+            }
+            cover(m, alpha * mean);
+        }
+        Some(other) => ignored.note(format!("alphaMode {other:?} (opaque is used)")),
+    }
+    Ok(())
+}
+
+/// Makes a material cover only `alpha` of what lies behind it. Glass stays glass.
+fn cover(m: &mut Material, alpha: f32) {
+    if m.transmission > 0.0 || alpha >= 1.0 {
+        return;
+    }
+    m.thin = true;
+    m.specular *= alpha;
+    m.emissive *= alpha;
+    if m.unlit {
+        m.base_color *= alpha;
+    }
+    // (1 - mirror)(transmission) must be 1 - alpha once the mirror's share is scaled too.
+    m.mirror *= alpha;
+    m.transmission = ((1.0 - alpha) / (1.0 - m.mirror).max(f32::MIN_POSITIVE)).min(1.0);
 }
 
 /// Fields that glTF cannot say, as our own export wrote them.
@@ -261,6 +322,9 @@ fn apply_extras(m: &mut Material, own: &Map<String, Value>) {
         if let Some(v) = color(name) {
             *field = v;
         }
+    }
+    if own.get("thin").and_then(Value::as_bool) == Some(true) {
+        (m.thin, m.alpha, m.alpha_cutoff) = (true, 1.0, 0.0);
     }
     if let Some(v) = own.get("schlick").and_then(Value::as_bool) {
         m.schlick = v;

@@ -2,8 +2,8 @@
 //!
 //! **In**: [`load_gltf`] gives an [`ImportedScene`] (flat arrays), which [`ImportedScene::spawn`] turns into entities or
 //! [`ImportedScene::to_render_scene`] into a `RenderScene`. Read are nodes, meshes (lists, strips, fans; sparse,
-//! interleaved, normalised, quantised), morph targets and skins at the pose of the file, base-colour and emissive textures,
-//! samplers, cameras, and the extensions `KHR_lights_punctual`, `KHR_materials_{transmission, ior, volume, specular,
+//! interleaved, normalised, quantised), morph targets and skins, the first animation of nodes, weights and skins ([`crate::animation`]), base-colour and emissive textures,
+//! samplers, normal maps, alpha masks, cameras, and the extensions `KHR_lights_punctual`, `KHR_materials_{transmission, ior, volume, specular,
 //! emissive_strength, unlit, pbrSpecularGlossiness}`, `KHR_mesh_quantization`, `KHR_texture_transform`. Shading is two-sided whatever
 //! `doubleSided` says; thickness of volumes is ignored, the geometry is. All else is listed in [`ImportReport::ignored`],
 //! also an image that is missing or broken; an extension that a file requires and that is not supported is an error by
@@ -19,6 +19,12 @@
 //! * transmission t makes smooth glass of the dielectric share (1 − m) t, whatever r is; closed meshes refract with or
 //!   without a volume;
 //! * a metallic-roughness texture counts by its mean;
+//! * `MASK` cuts holes per texel, for rays, moments and the raster alike;
+//! * `BLEND` is thin transmission: a share 1 − alpha of the light passes straight on, without refraction or tint, the rest
+//!   meets the surface. Alpha is the factor's times the texture's mean; a texture of hardly any middling alpha is cut out at
+//!   one half instead, which keeps its shape. Blended surfaces throw whole shadows where glass does;
+//! * normal maps turn the interpolated normal in the frame that each triangle's texture coordinates span (`TANGENT` is not
+//!   read: the two differ by the smoothing of tangents);
 //! * `KHR_materials_pbrSpecularGlossiness`: c is the diffuse colour, r = 1 − glossiness, k_d = 1, k_s = specular (1 − r).
 //!
 //! **Out**: [`export_glb`] writes the posed frame so that other renderers can draw it and [`load_gltf`] gets back the same
@@ -29,6 +35,7 @@
 //! before use; degenerate triangles are kept (no ray meets them); positions that are not finite are an error.
 
 mod accessor;
+mod animation;
 mod buffers;
 mod container;
 mod document;
@@ -52,5 +59,5 @@ pub use import::{load_gltf, load_gltf_bytes};
 pub use limits::ImportLimits;
 pub use materials::{MAX_SHININESS, roughness_from_shininess, shininess_from_roughness};
 pub use report::ImportReport;
-pub use scene::{ImportedNode, ImportedPrimitive, ImportedScene};
+pub use scene::{ImportedAnimation, ImportedDeformation, ImportedNode, ImportedPrimitive, ImportedScene};
 pub use spawn::Spawned;

@@ -6,6 +6,7 @@ use super::{
     report::ImportReport,
 };
 use crate::{
+    animation::{Deformation, NodeTracks},
     camera::Camera,
     components::{CameraProjection, LightSource},
     extract,
@@ -47,6 +48,30 @@ pub struct ImportedNode {
     pub camera: Option<CameraProjection>,
 }
 
+/// What moves one node.
+#[derive(Clone, Debug, PartialEq)]
+pub struct ImportedAnimation {
+    /// Index into [`ImportedScene::nodes`].
+    pub node: usize,
+    /// Its tracks.
+    pub tracks: Arc<NodeTracks>,
+}
+
+/// A mesh whose shape an animation changes.
+#[derive(Clone, Debug)]
+pub struct ImportedDeformation {
+    /// Index into [`ImportedScene::meshes`]: the mesh at the pose of the file, drawn by one node alone.
+    pub mesh: usize,
+    /// Index of the node whose morph weights count.
+    pub node: usize,
+    /// Its morph weights in the file.
+    pub weights: Vec<f32>,
+    /// The mesh before it is posed.
+    pub source: Arc<Deformation>,
+    /// Index of each joint's node, and its bind space from the mesh's.
+    pub joints: Arc<[(Option<usize>, Affine3)]>,
+}
+
 /// A scene read from a file: its default scene, else the first, else all nodes.
 #[derive(Clone, Debug, Default)]
 pub struct ImportedScene {
@@ -58,6 +83,12 @@ pub struct ImportedScene {
     pub textures: Vec<Arc<Texture>>,
     /// Nodes, parents before children.
     pub nodes: Vec<ImportedNode>,
+    /// The file's first animation.
+    pub animations: Vec<ImportedAnimation>,
+    /// Seconds after which it begins anew.
+    pub duration: f32,
+    /// Meshes that it changes.
+    pub deformations: Vec<ImportedDeformation>,
     /// Background and ambient light, where the file is one of our own exports.
     pub environment: Option<Environment>,
     /// Figures, and what was ignored.

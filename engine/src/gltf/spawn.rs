@@ -2,6 +2,7 @@
 
 use super::scene::{ImportedScene, invertible};
 use crate::{
+    animation::{Deformer, MorphWeights, NodeAnimation},
     assets::{Assets, MaterialId, MeshId},
     components::{Hidden, MeshInstance, StableId},
     extract::SceneEnvironment,
@@ -26,7 +27,8 @@ impl ImportedScene {
     /// Adds the assets to [`Assets`] and one entity a node, as children of a new root. A node's first mesh and its light or
     /// camera live on its own entity, further meshes on children of it. Stable ids count up in node order from
     /// `first_stable_id`: meshes, then light, then camera of each node. Meshes whose pose has no volume are spawned
-    /// [`Hidden`]. An environment of the file becomes the world's.
+    /// [`Hidden`]. An environment of the file becomes the world's. An
+    /// animation plays from frame 0 on, over and over; [`Self::to_render_scene`] shows the pose of the file instead.
     ///
     /// # Panics
     /// When a node was given a parent, mesh or material that is not in the scene.
@@ -38,15 +40,15 @@ impl ImportedScene {
         assets.textures.extend(self.textures.iter().cloned());
         assets.materials.extend(self.materials.iter().map(|m| {
             let mut m = *m;
-            for t in [&mut m.base_color_texture, &mut m.emissive_texture].into_iter().flatten() {
-                t.texture += first_texture;
-            }
+            m.textures_mut().for_each(|t| t.texture += first_texture);
             m
         }));
         if let Some(environment) = self.environment {
             world.insert_resource(SceneEnvironment(environment));
         }
 
+        let animated = !self.animations.is_empty();
+        let mut drawn_by = vec![None; self.meshes.len()];
         let mut next_stable_id = first_stable_id;
         let mut id = || {
             next_stable_id += 1;
@@ -70,7 +72,9 @@ impl ImportedScene {
                 };
                 let target = place(world, entity, &mut used);
                 world.entity_mut(target).insert((instance, id()));
-                if !invertible(&pose) {
+                drawn_by[p.mesh] = Some(target);
+                // What has no volume now may have one later.
+                if !invertible(&pose) && !animated {
                     world.entity_mut(target).insert(Hidden);
                 }
             }
@@ -84,7 +88,33 @@ impl ImportedScene {
                 camera.get_or_insert(target);
             }
         }
+        self.spawn_animation(world, &nodes, &drawn_by, first_mesh);
         Spawned { root, nodes, camera, next_stable_id }
+    }
+
+    /// Sets everything that moves going, at its pose of time 0.
+    fn spawn_animation(&self, world: &mut World, nodes: &[Entity], drawn_by: &[Option<Entity>], first_mesh: usize) {
+        for d in &self.deformations {
+            let Some(entity) = drawn_by[d.mesh] else { continue };
+            world.entity_mut(nodes[d.node]).insert(MorphWeights(d.weights.clone()));
+            world.entity_mut(entity).insert(Deformer {
+                source: d.source.clone(),
+                mesh: MeshId((first_mesh + d.mesh) as u32),
+                weights_of: Some(nodes[d.node]),
+                joints: d.joints.iter().map(|(node, bind)| (node.map(|n| nodes[n]), *bind)).collect(),
+                posed: None,
+            });
+        }
+        for a in &self.animations {
+            let mut entity = world.entity_mut(nodes[a.node]);
+            if let Some(mut transform) = entity.get_mut::<Transform>() {
+                a.tracks.pose(0.0, &mut transform);
+            }
+            if let Some(track) = &a.tracks.weights {
+                entity.insert(MorphWeights((0..track.width).map(|i| track.sample(0.0, i)).collect()));
+            }
+            entity.insert(NodeAnimation { tracks: a.tracks.clone(), duration: self.duration });
+        }
     }
 }
 

@@ -23,7 +23,8 @@ pub(super) struct Textures<'a> {
     limits: &'a ImportLimits,
     source: &'a mut Source,
     pixels: u64,
-    known: BTreeMap<u32, u32>,
+    /// By image and whether it is read as sRGB.
+    known: BTreeMap<(u32, bool), u32>,
     means: BTreeMap<u32, [f32; 2]>,
     pub textures: Vec<Arc<Texture>>,
 }
@@ -54,10 +55,12 @@ impl<'a> Textures<'a> {
         Self { document, buffers, limits, source, pixels: 0, known, means, textures: Vec::new() }
     }
 
-    /// A colour texture (sRGB) as a material uses it; `None` where it cannot be shown, which is noted.
-    pub fn color(
+    /// A texture as a material uses it; `None` where it cannot be shown, which is noted.
+    /// * `srgb`: true for colours, false for data such as normals
+    pub fn reference(
         &mut self,
         info: &TextureInfo,
+        srgb: bool,
         place: &str,
         ignored: &mut Ignored,
     ) -> Result<Option<TextureRef>, GltfError> {
@@ -70,7 +73,7 @@ impl<'a> Textures<'a> {
         let Some(image) = self.image_of(info, place, ignored)? else {
             return Ok(None);
         };
-        let texture = match self.known.get(&image) {
+        let texture = match self.known.get(&(image, srgb)) {
             Some(&texture) => texture,
             None => {
                 let Some(pixels) = self.decode_or_note(image, ignored)? else {
@@ -78,11 +81,11 @@ impl<'a> Textures<'a> {
                 };
                 let (width, height) = pixels.dimensions();
                 let texels = pixels.into_raw().as_chunks::<4>().0.to_vec();
-                let texture = Texture::new(width, height, texels, true)
+                let texture = Texture::new(width, height, texels, srgb)
                     .map_err(|e| GltfError::invalid(format!("image {image}"), e.to_string()))?;
                 self.textures.push(Arc::new(texture));
                 let number = self.textures.len() as u32 - 1;
-                self.known.insert(image, number);
+                self.known.insert((image, srgb), number);
                 number
             }
         };
@@ -110,6 +113,25 @@ impl<'a> Textures<'a> {
             return Err(GltfError::invalid(place, "KHR_texture_transform holds a value that is not finite"));
         }
         Ok(Some(out))
+    }
+
+    /// [`Self::reference`] of a colour.
+    pub fn color(
+        &mut self,
+        info: &TextureInfo,
+        place: &str,
+        ignored: &mut Ignored,
+    ) -> Result<Option<TextureRef>, GltfError> {
+        self.reference(info, true, place, ignored)
+    }
+
+    /// Mean alpha of a texture in [0, 1], and the share of its texels whose alpha lies between a twentieth and nineteen
+    /// twentieths.
+    pub fn mean_alpha(&self, texture: u32) -> (f32, f32) {
+        let texels = self.textures[texture as usize].texels();
+        let sum: u64 = texels.iter().map(|t| u64::from(t[3])).sum();
+        let between = texels.iter().filter(|t| (13..=242).contains(&t[3])).count();
+        ((sum as f64 / (255.0 * texels.len() as f64)) as f32, between as f32 / texels.len() as f32)
     }
 
     /// Mean of (G, B), linear, over a data texture: roughness and metalness of a metallic-roughness image.

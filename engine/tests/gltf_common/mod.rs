@@ -128,6 +128,17 @@ pub fn native_scene() -> RenderScene {
         Material { mirror: 0.2, transmission: 0.5, specular: Vec3::ONE, ..Material::default() },
         // Clear closed glass, which glTF without a volume would call a thin wall.
         Material::glass(Vec3::ONE, 1.5),
+        // Holes, and a normal map.
+        Material {
+            base_color_texture: Some(reference(0, [Wrap::Repeat; 2], false)),
+            normal_texture: Some(TextureRef { texture: 1, ..reference(1, [Wrap::Clamp; 2], false) }),
+            normal_scale: -0.7,
+            alpha: 0.9,
+            alpha_cutoff: 0.3,
+            ..Material::lambert(base)
+        },
+        // Half there.
+        Material { thin: true, transmission: 0.35, specular: base, shininess: 30.0, ..Material::lambert(base) },
     ];
     let mut open = cube();
     open.triangles.pop();
@@ -156,7 +167,10 @@ pub fn native_scene() -> RenderScene {
     };
     RenderScene {
         meshes,
-        textures: vec![Arc::new(Texture::new(3, 2, texels, true).unwrap())],
+        textures: vec![
+            Arc::new(Texture::new(3, 2, texels.clone(), true).unwrap()),
+            Arc::new(Texture::new(3, 2, texels, false).unwrap()),
+        ],
         materials,
         instances,
         lights: vec![

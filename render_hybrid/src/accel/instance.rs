@@ -67,7 +67,7 @@ impl InstanceRecord {
 
     /// The ray's origin and direction in object space: one order of operations at every width.
     #[inline(always)]
-    pub fn to_object(&self, origin: [f32; 3], direction: [f32; 3]) -> ([f32; 3], [f32; 3]) {
+    pub fn object_ray(&self, origin: [f32; 3], direction: [f32; 3]) -> ([f32; 3], [f32; 3]) {
         if self.identity {
             return (origin, direction);
         }

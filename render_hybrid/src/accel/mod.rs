@@ -6,6 +6,7 @@
 //! (instance, primitive).
 
 mod blas;
+mod cutout;
 mod instance;
 mod kdtree;
 mod node;
@@ -64,6 +65,8 @@ pub struct AccelStats {
 pub struct Accel {
     world: world::World,
     level: simd::Detected,
+    /// Where instances have holes.
+    cutouts: Option<cutout::Cutouts>,
 }
 
 impl Accel {
@@ -72,16 +75,22 @@ impl Accel {
     /// # Errors
     /// [`RenderError::Unavailable`] where `options.simd` names a level that this processor lacks.
     pub fn new(options: AccelOptions) -> Result<Self, RenderError> {
-        Ok(Self { world: world::World::new(options.blas), level: simd::Detected::new(options.simd)? })
+        Ok(Self { world: world::World::new(options.blas), level: simd::Detected::new(options.simd)?, cutouts: None })
     }
 
     /// Follows the scene: one that passes [`RenderScene::validate`]. Builds run on the caller's rayon pool.
     ///
     /// The same revision of the same world: nothing happens. The next one with an unchanged structure: only
     /// `scene.moved` is refitted. Otherwise everything is compared; mesh trees are kept by the address of the mesh's `Arc`
-    /// (held here, so that it stays unique), instances by `stable_id`.
+    /// (held here, so that it stays unique), instances by `stable_id`. Where anything has an alpha mask, shadow casters are
+    /// to be chosen anew after it.
     pub fn update(&mut self, scene: &RenderScene) -> UpdateStats {
-        self.world.update(scene)
+        let stats = self.world.update(scene);
+        self.cutouts = cutout::Cutouts::of(scene);
+        if let Some(cutouts) = &self.cutouts {
+            self.world.set_shadow_casters(|i| !cutouts.has(i));
+        }
+        stats
     }
 
     /// Lets the tree of a mesh follow moved vertices without a build: `new` has the same triangles as `old`. Hits are those of
@@ -96,18 +105,25 @@ impl Accel {
     /// or a zero direction, misses.
     #[inline]
     pub fn closest_hit(&self, ray: &Ray) -> Hit {
-        simd::closest(self.level, &self.world, ray)
+        let hit = simd::closest(self.level, &self.world, ray);
+        if self.cutouts.is_some() { self.beyond_holes(ray, hit) } else { hit }
     }
 
     /// True where the ray meets an instance that casts shadows, at `t_min < t < t_max`.
     #[inline]
     pub fn occluded(&self, ray: &Ray) -> bool {
-        simd::any(self.level, &self.world, ray)
+        simd::any(self.level, &self.world, ray) || (self.cutouts.is_some() && self.occluded_by_cutout(ray))
     }
 
     /// Chooses by instance id which instances [`Self::occluded`] sees; all at first, and each new one.
     pub fn set_shadow_casters(&mut self, casts: impl Fn(u32) -> bool) {
-        self.world.set_shadow_casters(casts);
+        match &mut self.cutouts {
+            None => self.world.set_shadow_casters(casts),
+            Some(cutouts) => {
+                cutouts.casts.iter_mut().enumerate().for_each(|(i, c)| *c = casts(i as u32));
+                self.world.set_shadow_casters(|i| !cutouts.has(i) && casts(i));
+            }
+        }
     }
 
     /// [`Self::closest_hit`] of each ray, the same bits; fastest where neighbours in the slice are alike.
@@ -117,6 +133,9 @@ impl Accel {
     pub fn closest_hits(&self, rays: &[Ray], hits: &mut [Hit]) {
         assert_eq!(rays.len(), hits.len(), "one hit a ray");
         simd::closest_many(self.level, &self.world, rays, hits);
+        if self.cutouts.is_some() {
+            rays.iter().zip(hits).for_each(|(ray, hit)| *hit = self.beyond_holes(ray, *hit));
+        }
     }
 
     /// [`Self::occluded`] of each ray.
@@ -126,6 +145,35 @@ impl Accel {
     pub fn occluded_many(&self, rays: &[Ray], occluded: &mut [bool]) {
         assert_eq!(rays.len(), occluded.len(), "one answer a ray");
         simd::any_many(self.level, &self.world, rays, occluded);
+        if self.cutouts.is_some() {
+            rays.iter().zip(occluded).for_each(|(ray, o)| *o = *o || self.occluded_by_cutout(ray));
+        }
+    }
+
+    /// The first hit from `hit` on that falls into no hole.
+    fn beyond_holes(&self, ray: &Ray, mut hit: Hit) -> Hit {
+        let Some(cutouts) = &self.cutouts else { return hit };
+        while hit.is_hit() && cutouts.is_hole(&hit) {
+            hit = simd::closest(self.level, &self.world, &Ray { t_min: hit.t, ..*ray });
+        }
+        hit
+    }
+
+    /// [`Self::occluded`] by what has holes, which the trees take for no casters.
+    fn occluded_by_cutout(&self, ray: &Ray) -> bool {
+        let Some(cutouts) = &self.cutouts else { return false };
+        let mut rest = *ray;
+        loop {
+            let hit = simd::closest(self.level, &self.world, &rest);
+            if !hit.is_hit() {
+                return false;
+            }
+            let casts = cutouts.has(hit.instance_id) && cutouts.casts[hit.instance_id as usize];
+            if casts && !cutouts.is_hole(&hit) {
+                return true;
+            }
+            rest.t_min = hit.t;
+        }
     }
 
     /// The level in use; never `Auto`.

@@ -198,7 +198,7 @@ fn without_trees(scene: &RenderScene, ray: &Ray) -> Hit {
     for (id, instance) in scene.instances.iter().enumerate() {
         let Some((record, _)) = instance::InstanceRecord::new(instance, id as u32, 0, true) else { continue };
         let mesh = &scene.meshes[instance.mesh as usize];
-        let (o, d) = record.to_object(ray.origin.to_array(), ray.direction.to_array());
+        let (o, d) = record.object_ray(ray.origin.to_array(), ray.direction.to_array());
         let space = ray_space::RaySpace::new(o, d, node::Bounds::from(mesh.bounds_object()).extent(), 1.0);
         for prim in 0..mesh.triangles().len() as u32 {
             let corners = mesh.corners(prim).map(|p| p.to_array());
@@ -348,8 +348,9 @@ fn directions_of_any_length() {
         for ray in random_rays(&mut r, 300, 2.0).iter_mut() {
             (ray.t_min, ray.t_max) = (0.0, f32::INFINITY);
             let base = all.1.closest_hit(ray);
-            for exponent in [-140i32, -100, -60, -30, 30, 60, 100] {
-                let f = if exponent < 0 { 1.0 / (2f64.powi(-exponent)) } else { 2f64.powi(exponent) };
+            for exponent in [-140i64, -100, -60, -30, 30, 60, 100] {
+                // 2 to the exponent.
+                let f = f64::from_bits(((1023 + exponent) as u64) << 52);
                 let long = Ray { direction: (ray.direction.as_dvec3() * f).as_vec3(), ..*ray };
                 let hit = all.1.closest_hit(&long);
                 let t = f64::from(base.t) / f;

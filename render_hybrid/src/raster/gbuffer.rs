@@ -11,6 +11,8 @@ use super::{
 /// Visibility by rasterisation, surfaces by meeting the camera ray with the visible triangle.
 pub(crate) struct GbufferPass {
     visibility: wgpu::RenderPipeline,
+    /// For surfaces with holes.
+    cutout: wgpu::RenderPipeline,
     resolve: wgpu::ComputePipeline,
     layout: wgpu::BindGroupLayout,
 }
@@ -29,6 +31,7 @@ impl GbufferPass {
         let module = shader::module(&gpu.device, "gbuffer");
         Self {
             visibility: draw_pipeline(gpu, "visibility", &visibility_layout, VISIBILITY_FORMAT, true),
+            cutout: draw_pipeline(gpu, "visibility_cutout", &visibility_layout, VISIBILITY_FORMAT, true),
             resolve: compute_pipeline(gpu, &module, &resolve_layout, "resolve"),
             layout,
         }
@@ -50,10 +53,14 @@ impl GbufferPass {
         {
             let clear = wgpu::Color::TRANSPARENT;
             let mut pass = draw_pass(encoder, "visibility", &targets.visibility.view, clear, Some(&targets.depth.view));
-            pass.set_pipeline(&self.visibility);
             pass.set_bind_group(0, scene.group(), &[]);
-            for draw in &scene.draws {
-                pass.draw(0..draw.vertices, draw.instance..draw.instance + 1);
+            for (pipeline, cutout) in [(&self.visibility, false), (&self.cutout, true)] {
+                for (i, draw) in scene.draws.iter().filter(|d| d.cutout == cutout).enumerate() {
+                    if i == 0 {
+                        pass.set_pipeline(pipeline);
+                    }
+                    pass.draw(0..draw.vertices, draw.instance..draw.instance + 1);
+                }
             }
         }
         let mut pass =

@@ -20,12 +20,13 @@ pub(crate) const VISIBILITY_NONE: u32 = 0;
 pub(crate) const VISIBILITY_MOMENTS: u32 = 1;
 pub(crate) const VISIBILITY_PLANES: u32 = 2;
 
-/// Numbers a vertex in the attribute heap: normal, two texture coordinate sets, colour.
-pub(crate) const ATTRIBUTE_STRIDE: u32 = 10;
+/// Numbers a vertex in the attribute heap: normal, two texture coordinate sets, colour, alpha.
+pub(crate) const ATTRIBUTE_STRIDE: u32 = 11;
 pub(crate) const ATTRIBUTE_NORMAL: u32 = 0;
 pub(crate) const ATTRIBUTE_UV0: u32 = 3;
 pub(crate) const ATTRIBUTE_UV1: u32 = 5;
 pub(crate) const ATTRIBUTE_COLOR: u32 = 7;
+pub(crate) const ATTRIBUTE_ALPHA: u32 = 10;
 
 /// What the layer pass unpacks from the G-buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -194,9 +195,14 @@ pub(crate) struct MaterialData {
     pub mirror: f32,
     pub transmission: f32,
     pub unlit: u32,
-    pub unused: u32,
+    pub alpha_cutoff: f32,
     pub base_color_texture: TextureRefData,
     pub emissive_texture: TextureRefData,
+    pub normal_texture: TextureRefData,
+    pub normal_scale: f32,
+    pub alpha: f32,
+    pub unused0: u32,
+    pub unused1: u32,
 }
 
 impl MaterialData {
@@ -216,9 +222,14 @@ impl MaterialData {
             mirror: m.mirror,
             transmission: m.transmission,
             unlit: u32::from(m.unlit),
-            unused: 0,
+            alpha_cutoff: m.alpha_cutoff,
             base_color_texture: texture(&m.base_color_texture),
             emissive_texture: texture(&m.emissive_texture),
+            normal_texture: texture(&m.normal_texture),
+            normal_scale: m.normal_scale,
+            alpha: m.alpha,
+            unused0: 0,
+            unused1: 0,
         }
     }
 }
@@ -332,6 +343,7 @@ pub(crate) fn attributes(mesh: &Mesh) -> Vec<f32> {
         out.extend(mesh.uvs().get(i).copied().unwrap_or_default().to_array().map(finite));
         out.extend(mesh.uvs1().get(i).copied().unwrap_or_default().to_array().map(finite));
         out.extend(mesh.colors().get(i).map_or(Vec3::ONE, |c| c.truncate()).to_array().map(finite));
+        out.push(finite(mesh.colors().get(i).map_or(1.0, |c| c.w)));
     }
     out
 }
@@ -427,9 +439,14 @@ mod tests {
             mirror,
             transmission,
             unlit,
-            unused,
+            alpha_cutoff,
             base_color_texture,
-            emissive_texture
+            emissive_texture,
+            normal_texture,
+            normal_scale,
+            alpha,
+            unused0,
+            unused1
         );
         assert_layout!(
             "direct",

@@ -18,6 +18,8 @@ const UNIFORM_SIZE: u64 = 16;
 /// Draws the moments of the nearest surfaces into each view's layer.
 pub(crate) struct MomentsPass {
     pipeline: wgpu::RenderPipeline,
+    /// For surfaces with holes.
+    cutout: wgpu::RenderPipeline,
     layout: wgpu::BindGroupLayout,
     /// View numbers, one each `stride` bytes.
     views: GrowBuffer,
@@ -39,6 +41,7 @@ impl MomentsPass {
         let stride = u64::from(gpu.device.limits().min_uniform_buffer_offset_alignment).max(UNIFORM_SIZE);
         Self {
             pipeline: draw_pipeline(gpu, "moments", &pipeline_layout, MOMENTS_FORMAT, true),
+            cutout: draw_pipeline(gpu, "moments_cutout", &pipeline_layout, MOMENTS_FORMAT, true),
             layout,
             views: GrowBuffer::new(
                 gpu,
@@ -100,12 +103,16 @@ impl MomentsPass {
                 let clear = wgpu::Color { r, g, b, a };
                 let target = arrays.layer(first_layer + i);
                 let mut pass = draw_pass(encoder, "moments", target, clear, Some(&arrays.depth.view));
-                pass.set_pipeline(&self.pipeline);
                 pass.set_bind_group(0, scene.group(), &[]);
                 pass.set_bind_group(1, views, &[(u64::from(number) * self.stride) as u32]);
                 let casts = |d: &&Draw| !(clear_glass && d.transmissive) && may_be_seen(view, &d.bounds_world);
-                for draw in scene.draws.iter().filter(casts) {
-                    pass.draw(0..draw.vertices, draw.instance..draw.instance + 1);
+                for (pipeline, cutout) in [(&self.pipeline, false), (&self.cutout, true)] {
+                    for (i, draw) in scene.draws.iter().filter(|d| d.cutout == cutout).filter(casts).enumerate() {
+                        if i == 0 {
+                            pass.set_pipeline(pipeline);
+                        }
+                        pass.draw(0..draw.vertices, draw.instance..draw.instance + 1);
+                    }
                 }
             }
         }

@@ -29,6 +29,8 @@ pub(crate) struct Draw {
     pub instance: u32,
     /// Its material lets light through.
     pub transmissive: bool,
+    /// Has holes.
+    pub cutout: bool,
     /// For leaving out what a shadow view does not see.
     pub bounds_world: Aabb,
 }
@@ -348,6 +350,7 @@ impl SceneBuffers {
                 vertices: mesh.triangles().len() as u32 * 3,
                 instance: number as u32,
                 transmissive: scene.materials[i.material as usize].transmission > 0.0,
+                cutout: scene.materials[i.material as usize].is_cutout(),
                 bounds_world: mesh.bounds_object().transformed(&i.world_from_object),
             });
         }

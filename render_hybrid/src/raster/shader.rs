@@ -15,7 +15,9 @@ macro_rules! sources {
 pub const PASSES: &[(&str, &str)] = sources![
     "moments",
     "moments_blur",
+    "moments_cutout",
     "visibility",
+    "visibility_cutout",
     "gbuffer",
     "compact",
     "direct",
@@ -70,6 +72,7 @@ pub fn generated_constants() -> String {
     u("ATTRIBUTE_UV0", layouts::ATTRIBUTE_UV0);
     u("ATTRIBUTE_UV1", layouts::ATTRIBUTE_UV1);
     u("ATTRIBUTE_COLOR", layouts::ATTRIBUTE_COLOR);
+    u("ATTRIBUTE_ALPHA", layouts::ATTRIBUTE_ALPHA);
     u("COMPACT_BLOCK", COMPACT_BLOCK);
     u("VPL_CHUNK", VPL_CHUNK);
     for (name, kind) in layouts::PACKED_LAYERS {

@@ -119,11 +119,28 @@ fn resolve(@builtin(global_invocation_id) id: vec3u) {
     let n_geometric = select(-outward, outward, dot(outward, ray.direction) < 0.0);
     let interpolated = normal_world_from_object(instance, attribute3(vertices, ATTRIBUTE_NORMAL, weights));
     var n_shading = normalize_or(interpolated, n_geometric);
-    if dot(n_shading, n_geometric) < 0.0 {
+    let flipped = dot(n_shading, n_geometric) < 0.0;
+    let material = materials[instance.material];
+    let map = material.normal_texture;
+    if map.first_texel != NO_TEXTURE {
+        let offset = select(ATTRIBUTE_UV0, ATTRIBUTE_UV1, (map.flags & TEXTURE_UV1) != 0u);
+        let uv0 = attribute2(vertices, offset, vec3f(1.0, 0.0, 0.0));
+        let duv1 = attribute2(vertices, offset, vec3f(0.0, 1.0, 0.0)) - uv0;
+        let duv2 = attribute2(vertices, offset, vec3f(0.0, 0.0, 1.0)) - uv0;
+        let frame_object = tangents(e1 * scale, e2 * scale, duv1, duv2);
+        let texel = sample_texture(map, attribute2(vertices, offset, weights));
+        n_shading = perturbed_normal(
+            n_shading,
+            direction_world_from_object(instance, frame_object.along_u),
+            direction_world_from_object(instance, frame_object.along_v),
+            texel,
+            material.normal_scale,
+        );
+    }
+    if flipped {
         n_shading = -n_shading;
     }
 
-    let material = materials[instance.material];
     let base_color = textured(material.base_color, material.base_color_texture, vertices, weights)
         * attribute3(vertices, ATTRIBUTE_COLOR, weights);
     var emission = textured(material.emissive, material.emissive_texture, vertices, weights);

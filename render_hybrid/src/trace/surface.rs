@@ -81,6 +81,46 @@ fn normal_from_object(m: Mat3) -> Mat3 {
     c * sign
 }
 
+/// Directions of growing u and of growing v on a triangle with edges `e1`, `e2`, up to a common positive factor; zero where
+/// its texture coordinates have no area.
+///
+/// Twin: `shaders/shared/triangle.wgsl`.
+fn tangents(e1: Vec3, e2: Vec3, duv1: Vec2, duv2: Vec2) -> (Vec3, Vec3) {
+    let det = duv1.x * duv2.y - duv2.x * duv1.y;
+    let sign = if det < 0.0 { -1.0 } else { 1.0 };
+    if det == 0.0 {
+        return (Vec3::ZERO, Vec3::ZERO);
+    }
+    ((e1 * duv2.y - e2 * duv1.y) * sign, (e2 * duv1.x - e1 * duv2.x) * sign)
+}
+
+/// `n` turned by a tangent-space normal coded as colour `texel`; `n` itself where the frame or the colour has no direction.
+/// * `along_u`, `along_v`: world space, any length
+///
+/// Twin: `shaders/shared/triangle.wgsl`.
+fn perturbed_normal(n: Vec3, along_u: Vec3, along_v: Vec3, texel: Vec3, normal_scale: f32) -> Vec3 {
+    let size = along_u.abs().max(along_v.abs()).max_element();
+    if !(size > 0.0 && size.is_finite()) {
+        return n;
+    }
+    let (along_u, along_v) = (along_u * (1.0 / size), along_v * (1.0 / size));
+    let t = along_u - n * n.dot(along_u);
+    let length = t.length();
+    if length <= 1e-6 {
+        return n;
+    }
+    let t = t * (1.0 / length);
+    let across = n.cross(t);
+    // The picture's y points against v.
+    let b = if across.dot(along_v) > 0.0 { -across } else { across };
+    let c = texel * 2.0 - 1.0;
+    (t * (c.x * normal_scale) + b * (c.y * normal_scale) + n * c.z).normalize_or(n)
+}
+
+fn finite(uv: Vec2) -> Vec2 {
+    if uv.is_finite() { uv } else { Vec2::ZERO }
+}
+
 /// The surface that `hit` met.
 pub fn surface_at(scene: &RenderScene, normals: &NormalMatrices, ray: &Ray, hit: &Hit) -> Surface {
     let instance = &scene.instances[hit.instance_id as usize];
@@ -118,12 +158,26 @@ pub fn surface_at(scene: &RenderScene, normals: &NormalMatrices, ray: &Ray, hit:
     let n = mesh.normals();
     let interpolated = n[i0] * w + n[i1] * u + n[i2] * v;
     let n_shading = (*normal_matrix * interpolated).normalize_or(n_geometric);
-    let n_shading = if n_shading.dot(n_geometric) < 0.0 { -n_shading } else { n_shading };
+    let flipped = n_shading.dot(n_geometric) < 0.0;
 
+    let uv_set = |r: &TextureRef| if r.uv_set == 1 { mesh.uvs1() } else { mesh.uvs() };
     let uv = |r: &TextureRef| {
-        let set = if r.uv_set == 1 { mesh.uvs1() } else { mesh.uvs() };
+        let set = uv_set(r);
         if set.is_empty() { Vec2::ZERO } else { set[i0] * w + set[i1] * u + set[i2] * v }
     };
+    let n_shading = match &material.normal_texture {
+        Some(r) if !uv_set(r).is_empty() => {
+            let set = uv_set(r);
+            let (along_u, along_v) =
+                tangents(e1 * scale, e2 * scale, finite(set[i1]) - finite(set[i0]), finite(set[i2]) - finite(set[i0]));
+            let texel = scene.textures[r.texture as usize].sample(r, uv(r)).truncate();
+            let to_world = |d: Vec3| m.matrix3 * d;
+            perturbed_normal(n_shading, to_world(along_u), to_world(along_v), texel, material.normal_scale)
+        }
+        _ => n_shading,
+    };
+    let n_shading = if flipped { -n_shading } else { n_shading };
+
     let textured = |color: Vec3, r: &Option<TextureRef>| match r {
         Some(r) => color * scene.textures[r.texture as usize].sample(r, uv(r)).truncate(),
         None => color,

@@ -218,6 +218,11 @@ pub fn split(
     if glass <= 0.0 {
         return out;
     }
+    if m.thin {
+        out.transmitted = Vec3::splat(glass);
+        out.transmitted_direction = Some(d);
+        return out;
+    }
     let mesh = &scene.meshes[scene.instances[s.instance_id as usize].mesh as usize];
     if !mesh.closed() {
         // A thin pane: both faces at once, with the light that bounces between them, 2F/(1+F); no bend.

@@ -39,8 +39,8 @@ impl Textures {
     pub fn write(scene: &RenderScene, w: &mut Writer) -> Result<Self, GltfError> {
         let mut sampled = BTreeMap::new();
         let mut images = BTreeMap::new();
-        for r in scene.materials.iter().flat_map(|m| [m.base_color_texture, m.emissive_texture]).flatten() {
-            if sampled.contains_key(&key(&r)) {
+        for r in scene.materials.iter().flat_map(Material::textures) {
+            if sampled.contains_key(&key(r)) {
                 continue;
             }
             let image = match images.get(&r.texture) {
@@ -70,7 +70,7 @@ impl Textures {
             });
             let sampler =
                 w.push("samplers", json!({ "magFilter": filter, "minFilter": filter, "wrapS": s, "wrapT": t }));
-            sampled.insert(key(&r), w.push("textures", json!({ "source": image, "sampler": sampler })));
+            sampled.insert(key(r), w.push("textures", json!({ "source": image, "sampler": sampler })));
         }
         Ok(Self { sampled })
     }
@@ -106,7 +106,7 @@ fn uv_transform(m: &[[f32; 3]; 2]) -> Value {
 pub(super) fn material(m: &Material, thickness: f32, textures: &Textures, w: &mut Writer) -> Value {
     let (metallic, roughness) = metallic_roughness(m);
     let mut pbr = json!({
-        "baseColorFactor": [m.base_color.x, m.base_color.y, m.base_color.z, 1.0],
+        "baseColorFactor": [m.base_color.x, m.base_color.y, m.base_color.z, if m.thin { 1.0 - m.transmission } else { m.alpha }],
         "metallicFactor": metallic,
         "roughnessFactor": roughness,
     });
@@ -114,6 +114,16 @@ pub(super) fn material(m: &Material, thickness: f32, textures: &Textures, w: &mu
         pbr["baseColorTexture"] = textures.info(r, w);
     }
     let mut value = json!({ "pbrMetallicRoughness": pbr, "doubleSided": true });
+    if let Some(r) = &m.normal_texture {
+        value["normalTexture"] = textures.info(r, w);
+        value["normalTexture"]["scale"] = json!(m.normal_scale);
+    }
+    if m.thin {
+        value["alphaMode"] = json!("BLEND");
+    } else if m.is_cutout() {
+        value["alphaMode"] = json!("MASK");
+        value["alphaCutoff"] = json!(m.alpha_cutoff);
+    }
     let mut ext = Map::new();
     let mut add = |w: &mut Writer, name: &'static str, v: Value| {
         w.uses(name);
@@ -137,13 +147,13 @@ pub(super) fn material(m: &Material, thickness: f32, textures: &Textures, w: &mu
 
     // Glass.
     let clear = m.attenuation_distance == f32::INFINITY;
-    if m.transmission > 0.0 {
+    if m.transmission > 0.0 && !m.thin {
         add(w, "KHR_materials_transmission", json!({ "transmissionFactor": m.transmission }));
     }
     if m.ior != 1.5 {
         add(w, "KHR_materials_ior", json!({ "ior": m.ior }));
     }
-    if m.transmission > 0.0 && thickness > 0.0 || !clear || m.attenuation_color != Vec3::ONE {
+    if m.transmission > 0.0 && thickness > 0.0 && !m.thin || !clear || m.attenuation_color != Vec3::ONE {
         let color = m.attenuation_color.clamp(Vec3::ZERO, Vec3::ONE);
         let mut volume = json!({ "thicknessFactor": thickness, "attenuationColor": color.to_array() });
         if !clear {
@@ -175,7 +185,7 @@ pub(super) fn material(m: &Material, thickness: f32, textures: &Textures, w: &mu
 
 /// Metalness and roughness that say most about a native material.
 fn metallic_roughness(m: &Material) -> (f32, f32) {
-    if m.mirror > 0.0 || m.transmission > 0.0 {
+    if m.mirror > 0.0 || (m.transmission > 0.0 && !m.thin) {
         return (m.mirror, 0.0);
     }
     if m.specular == Vec3::ZERO {
@@ -210,12 +220,15 @@ fn own_fields(m: &Material, implied: &Material) -> Map<String, Value> {
     };
     put("ambient", m.ambient != implied.ambient, json!(m.ambient));
     put("diffuse", m.diffuse != implied.diffuse, json!(m.diffuse));
-    put("specular", m.specular != implied.specular, json!(m.specular.to_array()));
+    put("specular", m.specular != implied.specular || m.thin, json!(m.specular.to_array()));
     put("shininess", m.shininess != implied.shininess, json!(m.shininess));
-    put("mirror", m.mirror != implied.mirror, json!(m.mirror));
+    put("mirror", m.mirror != implied.mirror || m.thin, json!(m.mirror));
+    put("thin", m.thin, json!(true));
+    put("transmission", m.thin, json!(m.transmission));
+    put("emissive", m.thin, json!(m.emissive.to_array()));
     put("schlick", m.schlick, json!(true));
     put("priority", m.priority != 0, json!(m.priority));
-    put("base_color", m.base_color != implied.base_color, json!(m.base_color.to_array()));
+    put("base_color", m.base_color != implied.base_color || m.thin, json!(m.base_color.to_array()));
     let attenuation = m.attenuation_color;
     put("attenuation_color", attenuation != implied.attenuation_color, json!(attenuation.to_array()));
     own

@@ -393,7 +393,7 @@ impl<L: Level> Visitor<L> for TlasClosest<'_> {
         unsafe {
             let record = self.world.records.get_unchecked(leaf as usize);
             let blas = self.world.trees.get_unchecked(record.blas as usize);
-            let (o, d) = record.to_object(self.ray.origin.to_array(), self.ray.direction.to_array());
+            let (o, d) = record.object_ray(self.ray.origin.to_array(), self.ray.direction.to_array());
             let ray = RaySpace::new(o, d, blas.extent, 1.0);
             let mut v = BlasClosest {
                 blocks: &blas.blocks,
@@ -431,7 +431,7 @@ impl<L: Level> Visitor<L> for TlasAny<'_> {
                 return false;
             }
             let blas = self.world.trees.get_unchecked(record.blas as usize);
-            let (o, d) = record.to_object(self.ray.origin.to_array(), self.ray.direction.to_array());
+            let (o, d) = record.object_ray(self.ray.origin.to_array(), self.ray.direction.to_array());
             let ray = RaySpace::new(o, d, blas.extent, 1.0);
             let mut v =
                 BlasAny { blocks: &blas.blocks, ray: Sheared::of(&ray), t_min: self.ray.t_min, t_max: self.ray.t_max };

@@ -56,9 +56,15 @@ struct Material {
     mirror: f32,
     transmission: f32,
     unlit: u32,
-    unused: u32,
+    // 0: no holes.
+    alpha_cutoff: f32,
     base_color_texture: TextureRef,
     emissive_texture: TextureRef,
+    normal_texture: TextureRef,
+    normal_scale: f32,
+    alpha: f32,
+    unused0: u32,
+    unused1: u32,
 }
 
 struct Light {
@@ -79,6 +85,14 @@ struct Light {
 fn point_world_from_object(instance: Instance, point_object: vec3f) -> vec3f {
     let p = vec4f(point_object, 1.0);
     return vec3f(dot(instance.world_row0, p), dot(instance.world_row1, p), dot(instance.world_row2, p));
+}
+
+fn direction_world_from_object(instance: Instance, direction_object: vec3f) -> vec3f {
+    return vec3f(
+        dot(instance.world_row0.xyz, direction_object),
+        dot(instance.world_row1.xyz, direction_object),
+        dot(instance.world_row2.xyz, direction_object),
+    );
 }
 
 // Not normalised.

@@ -50,3 +50,11 @@ fn texture_footprint(r: TextureRef, uv: vec2f) -> Footprint {
         p - low,
     );
 }
+
+// Alpha of four RGBA8 texels of a footprint, filtered.
+fn filtered_alpha(texels: vec4u, fraction: vec2f) -> f32 {
+    let a = vec4f(texels >> vec4u(24u)) / 255.0;
+    let top = a.x * (1.0 - fraction.x) + a.y * fraction.x;
+    let bottom = a.z * (1.0 - fraction.x) + a.w * fraction.x;
+    return top * (1.0 - fraction.y) + bottom * fraction.y;
+}
