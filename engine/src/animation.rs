@@ -319,7 +319,7 @@ mod tests {
         let quarter = Quat::from_rotation_y(std::f32::consts::FRAC_PI_2);
         for end in [quarter, -quarter] {
             let half = Quat::IDENTITY.between(end, 0.5);
-            assert!((half.mul_vec3(Vec3::X) - Quat::from_rotation_y(0.785_398_2).mul_vec3(Vec3::X)).length() < 1e-6);
+            assert!((half.mul_vec3(Vec3::X) - Quat::from_rotation_y(std::f32::consts::FRAC_PI_4).mul_vec3(Vec3::X)).length() < 1e-6);
         }
         assert_eq!(Quat::from_xyzw(0.0, 0.0, 0.0, 0.0).mended(), Quat::IDENTITY);
     }
