@@ -24,6 +24,7 @@ use crate::{
         whitted::{self, MaskedPixel},
     },
     twin::{
+        interleave::{self, Guide},
         moments::render_moments,
         shadow::ShadowPlan,
         tile::{GBufferPixel, TileRect, TileScratch, TileStats, render_tile},
@@ -206,6 +207,8 @@ fn virtual_lights(state: &mut FrameState, scene: &RenderScene, settings: &Render
     if let Some(vpl) = &settings.vpl {
         state.photons.trace(scene, &state.normals, &state.accel, vpl, settings.seed);
         stats.rays.photon = state.photons.rays;
+        // In runs of subsets; full evaluation then merely sums in another order.
+        interleave::group_subsets(&mut state.photons.vpls, vpl.interleave * vpl.interleave);
         let size = if vpl.shadows == VplShadows::Maps { vpl.map_size } else { 0 };
         let (maps, accel) = (&mut state.vpl_maps, &state.accel);
         stats.rays.vpl_maps = maps.render(&state.photons.vpls, size, scene, accel, settings.glass_shadows);
@@ -243,6 +246,9 @@ fn context<'a>(
 /// All per-pixel stages of the CPU lane: bands of tiles in parallel, each tile through all its stages.
 fn pixels(state: &mut FrameState, level: SimdLevel, scene: &RenderScene, settings: &RenderSettings, frame: &mut Frame) {
     let start = Instant::now();
+    let interleaved = settings.vpl.map_or(1, |v| v.interleave);
+    let mut guides = std::mem::take(&mut state.guides);
+    guides.resize(if interleaved > 1 { frame.image.pixels.len() } else { 0 }, Guide::default());
     let ctx = context(state, level, scene, settings);
     let (width, tile) = (settings.width, settings.tile);
     let mut layers: Vec<Image> = if settings.keep_layers {
@@ -257,18 +263,27 @@ fn pixels(state: &mut FrameState, level: SimdLevel, scene: &RenderScene, setting
         .pixels
         .chunks_mut(band_pixels)
         .enumerate()
-        .map(|(i, image)| Band { y: i as u32 * tile, image, layers: Vec::new() })
+        .map(|(i, image)| Band { y: i as u32 * tile, image, guides: &mut [], layers: Vec::new() })
         .collect();
     for layer in &mut layers {
         for (band, pixels) in bands.iter_mut().zip(layer.pixels.chunks_mut(band_pixels)) {
             band.layers.push(pixels);
         }
     }
-    let (stats, non_finite) = bands
+    for (band, guides) in bands.iter_mut().zip(guides.chunks_mut(band_pixels)) {
+        band.guides = guides;
+    }
+    let (mut stats, mut non_finite) = bands
         .into_par_iter()
         .with_max_len(1)
         .map(|band| render_band(&ctx, &state.tiles, band))
         .reduce(Default::default, |a, b| (a.0.merged(b.0), merge_non_finite(a.1, b.1)));
+    if interleaved > 1 {
+        let indirect = layers.get_mut(INDIRECT).map(|l| &mut l.pixels);
+        let filtered = filter_indirect(&guides, interleaved, &mut frame.image, indirect);
+        stats.nanos[2] += filtered.0;
+        non_finite = merge_non_finite(non_finite, filtered.1);
+    }
     let wall = milliseconds(start);
     let total: u64 = stats.nanos.iter().sum();
     let share = |stage: usize| wall * stats.nanos[stage] as f64 / total.max(1) as f64;
@@ -285,6 +300,7 @@ fn pixels(state: &mut FrameState, level: SimdLevel, scene: &RenderScene, setting
     s.masked_pixels = stats.masked;
     s.non_finite = non_finite;
     frame.layers = KEPT.into_iter().zip(layers).collect();
+    state.guides = guides;
     if settings.keep_layers {
         frame.layers.push((Layer::Moments, moments_image(state)));
     }
@@ -294,9 +310,45 @@ fn pixels(state: &mut FrameState, level: SimdLevel, scene: &RenderScene, setting
 const KEPT: [Layer; 7] =
     [Layer::Direct, Layer::Indirect, Layer::Traced, Layer::Mask, Layer::Depth, Layer::Normal, Layer::Albedo];
 
+/// Place of the indirect layer among them.
+const INDIRECT: usize = 1;
+
+/// Adds the filtered indirect light of interleaved VPLs to the picture and its layer. Returns thread time in nanoseconds and
+/// the pixels that are not finite.
+fn filter_indirect(guides: &[Guide], n: u32, image: &mut Image, layer: Option<&mut Vec<[f32; 3]>>) -> (u64, NonFinite) {
+    let (width, height) = (image.width, image.height);
+    let mut none = Vec::new();
+    let layer = layer.unwrap_or(&mut none);
+    layer.resize(image.pixels.len(), [0.0; 3]);
+    let row = width as usize;
+    image
+        .pixels
+        .par_chunks_mut(row)
+        .zip(layer.par_chunks_mut(row))
+        .enumerate()
+        .map(|(y, (pixels, layer))| {
+            let start = Instant::now();
+            let mut non_finite = NonFinite::default();
+            for x in 0..width {
+                let radiance = interleave::filter(guides, width, height, x, y as u32, n);
+                let sum = Vec3::from(pixels[x as usize]) + radiance;
+                layer[x as usize] = radiance.to_array();
+                if sum.is_finite() {
+                    pixels[x as usize] = sum.to_array();
+                } else {
+                    pixels[x as usize] = [0.0; 3];
+                    non_finite = merge_non_finite(non_finite, (1, Some((x, y as u32))));
+                }
+            }
+            (start.elapsed().as_nanos() as u64, non_finite)
+        })
+        .reduce(Default::default, |a, b| (a.0 + b.0, merge_non_finite(a.1, b.1)))
+}
+
 struct Band<'a> {
     y: u32,
     image: &'a mut [[f32; 3]],
+    guides: &'a mut [Guide],
     layers: Vec<&'a mut [[f32; 3]]>,
 }
 
@@ -334,6 +386,9 @@ fn render_band(
             } else {
                 band.image[at] = [0.0; 3];
                 non_finite = merge_non_finite(non_finite, (1, Some((g.pixel % width, g.pixel / width))));
+            }
+            if !band.guides.is_empty() {
+                band.guides[at] = scratch.guides[i];
             }
             for (layer, out) in KEPT.iter().zip(&mut band.layers) {
                 out[at] = layer_value(ctx, *layer, g, &scratch, i).to_array();

@@ -17,7 +17,7 @@ use crate::{
         reference::{ReferenceAccumulator, ReferenceOptions},
         surface::NormalMatrices,
     },
-    twin::{shadow::ShadowMaps, tile::TileScratch, vpl_maps::VplMaps},
+    twin::{interleave::Guide, shadow::ShadowMaps, tile::TileScratch, vpl_maps::VplMaps},
 };
 
 /// Makes pictures of scenes. Nothing is global: any number of renderers live side by side. `Send`.
@@ -53,6 +53,8 @@ pub(crate) struct FrameState {
     pub blur_scratch: Vec<[f32; 4]>,
     pub photons: Photons,
     pub vpl_maps: VplMaps,
+    /// The picture's guides where VPLs are interleaved.
+    pub guides: Vec<Guide>,
     /// One a thread.
     pub tiles: Vec<Mutex<TileScratch>>,
     /// `None` on the CPU lane.
@@ -98,6 +100,7 @@ impl Renderer {
             blur_scratch: Vec::new(),
             photons: Photons::default(),
             vpl_maps: VplMaps::default(),
+            guides: Vec::new(),
             tiles: (0..threads).map(|_| Mutex::default()).collect(),
             gpu,
         };

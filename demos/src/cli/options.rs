@@ -57,10 +57,10 @@ pub enum Tracer {
 pub enum PresetArg {
     /// 16 VPLs without shadows, depth 4: editing
     Draft,
-    /// 128 VPLs with shadow maps, depth 8: play
+    /// 256 VPLs with shadow maps, depth 8: play
     #[default]
     Interactive,
-    /// 4,096 VPLs with shadow maps, shadows by rays where they matter: stills
+    /// 2,048 VPLs with shadow maps, shadows by rays where they matter: stills
     High,
 }
 
@@ -179,6 +179,9 @@ pub struct PictureArgs {
     /// Texels a side of a virtual point light's shadow map: 16, 32 or 64
     #[arg(long, value_name = "N")]
     pub vpl_map_size: Option<u32>,
+    /// Side of the blocks of pixels over which virtual point lights are interleaved: 1 (none), 2 or 4; CPU lane
+    #[arg(long, value_name = "N")]
+    pub vpl_interleave: Option<u32>,
     /// Bound of the VPLs' geometry term in units of 1/(bounding radius)^2, or `off` for none (no bias, bright spots)
     #[arg(long, value_name = "X|off", value_parser = parse_bound)]
     pub vpl_bound: Option<Bound>,
@@ -309,6 +312,7 @@ impl PictureArgs {
         if let Some(Bound(bound)) = self.vpl_bound {
             v.geometry_term_max = bound;
         }
+        v.interleave = self.vpl_interleave.unwrap_or(v.interleave);
         v.map_size = self.vpl_map_size.unwrap_or(v.map_size);
         if let Some(shadows) = self.vpl_shadows {
             v.shadows = match shadows {

@@ -7,8 +7,8 @@ use crate::{
     twin::{
         vpl::{Vpl, geometry_term},
         vpl_maps::{
-            VplMaps, inverse_plane_height, l1_length, map_center, octahedron_coordinates, octahedron_point,
-            texel_center, texel_coordinate, texel_occlusion,
+            inverse_plane_height, l1_length, map_center, octahedron_coordinates, octahedron_point, texel_center,
+            texel_coordinate, texel_occlusion,
         },
     },
 };
@@ -190,23 +190,25 @@ fn accumulate_shadowed_body<const SIZE: usize, const AREA: usize>(
 }
 
 #[inline(always)]
-fn shadowed_body(points: &mut PointBatch, vpls: &[Vpl], maps: &VplMaps, geometry_term_max: f32) {
-    match maps.size {
-        16 => accumulate_shadowed_body::<16, 256>(points, vpls, &maps.texels, geometry_term_max),
-        32 => accumulate_shadowed_body::<32, 1024>(points, vpls, &maps.texels, geometry_term_max),
-        64 => accumulate_shadowed_body::<64, 4096>(points, vpls, &maps.texels, geometry_term_max),
+fn shadowed_body(points: &mut PointBatch, vpls: &[Vpl], size: u32, maps: &[f32], geometry_term_max: f32) {
+    match size {
+        16 => accumulate_shadowed_body::<16, 256>(points, vpls, maps, geometry_term_max),
+        32 => accumulate_shadowed_body::<32, 1024>(points, vpls, maps, geometry_term_max),
+        64 => accumulate_shadowed_body::<64, 4096>(points, vpls, maps, geometry_term_max),
         other => unreachable!("settings allow no VPL maps of {other} texels"),
     }
 }
 
 dispatch! {
     /// Sets each point's irradiance to the sum over all VPLs, each seen through its map, in the order of the VPLs.
+    /// * `size`: texels a side of a map; `maps`: those of `vpls`, in their order
     ///
     /// Twin: `shaders/indirect.wgsl`.
     pub fn accumulate_shadowed_vpls => shadowed_body(
         points: &mut PointBatch,
         vpls: &[Vpl],
-        maps: &VplMaps,
+        size: u32,
+        maps: &[f32],
         geometry_term_max: f32,
     )
 }
@@ -217,7 +219,10 @@ mod tests {
     use crate::{
         settings::SimdLevel,
         simd,
-        twin::{vpl::vpl_irradiance, vpl_maps::vpl_visibility},
+        twin::{
+            vpl::vpl_irradiance,
+            vpl_maps::{VplMaps, vpl_visibility},
+        },
     };
 
     #[test]
@@ -256,7 +261,7 @@ mod tests {
                 let texels =
                     (0..vpls.len() as u32 * size * size).map(|i| (i % 23) as f32 * 0.04 * (i % 7) as f32).collect();
                 let maps = VplMaps { size, texels };
-                accumulate_shadowed_vpls(level, &mut batch, &vpls, &maps, 3.0);
+                accumulate_shadowed_vpls(level, &mut batch, &vpls, maps.size, &maps.texels, 3.0);
                 let mut shadowed = 0;
                 for (i, (p, n)) in points.iter().enumerate() {
                     let mut sum = Vec3::ZERO;

@@ -138,27 +138,31 @@ pub fn indirect_albedo(m: &Material, s: &Surface) -> Vec3 {
     if m.unlit { Vec3::ZERO } else { s.base_color * (m.diffuse * m.matte_weight() * FRAC_1_PI) }
 }
 
-/// Sets the irradiance of every point of the batch (which must be padded) by the frame's VPLs.
+/// Sets the irradiance of every point of the batch (which must be padded) by a run of the frame's VPLs.
 /// * `surfaces`: the surfaces behind the points, in the same order; used where visibility is traced
 pub fn indirect_light<'s>(
     ctx: &FrameContext,
+    run: std::ops::Range<usize>,
     points: &mut PointBatch,
     surfaces: impl Iterator<Item = &'s Surface> + Clone,
     scratch: &mut VplRays,
     rays: &mut RayCounts,
 ) {
     let shadows = ctx.settings.vpl.map_or(VplShadows::Off, |v| v.shadows);
-    if ctx.vpls.is_empty() || points.is_empty() {
+    let vpls = &ctx.vpls[run.clone()];
+    if vpls.is_empty() || points.is_empty() {
         return;
     }
     match shadows {
-        VplShadows::Off => return accumulate_vpls(ctx.level, points, ctx.vpls, ctx.geometry_term_max),
+        VplShadows::Off => return accumulate_vpls(ctx.level, points, vpls, ctx.geometry_term_max),
         VplShadows::Maps => {
-            return accumulate_shadowed_vpls(ctx.level, points, ctx.vpls, ctx.vpl_maps, ctx.geometry_term_max);
+            let (size, area) = (ctx.vpl_maps.size, (ctx.vpl_maps.size * ctx.vpl_maps.size) as usize);
+            let maps = &ctx.vpl_maps.texels[run.start * area..run.end * area];
+            return accumulate_shadowed_vpls(ctx.level, points, vpls, size, maps, ctx.geometry_term_max);
         }
         VplShadows::Traced => {}
     }
-    for vpl in ctx.vpls {
+    for vpl in vpls {
         scratch.clear();
         for (i, s) in surfaces.clone().enumerate() {
             let irradiance = vpl_irradiance(vpl, s.position_world, s.n_shading, ctx.geometry_term_max);

@@ -127,7 +127,14 @@ fn shade_wave(
         s.points.push(surface.position_world, surface.n_shading);
     }
     s.points.pad();
-    shade::indirect_light(ctx, &mut s.points, s.shaded.iter().map(|h| &h.3), &mut s.vpl_rays, counts);
+    shade::indirect_light(
+        ctx,
+        0..ctx.vpls.len(),
+        &mut s.points,
+        s.shaded.iter().map(|h| &h.3),
+        &mut s.vpl_rays,
+        counts,
+    );
     for (i, (slot, weight, wo, surface)) in s.shaded.iter().enumerate() {
         let m = &ctx.scene.materials[surface.material as usize];
         let direct = shade::direct_light(ctx, surface, *wo, pixels[*slot as usize].pixel, counts);

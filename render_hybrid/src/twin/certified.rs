@@ -22,7 +22,7 @@ use super::shadow::{ShadowMaps, shadow_project};
 use crate::trace::surface::Surface;
 
 /// Most texel widths by which an occluder may be missed. Higher: fewer rays, later contacts.
-pub const MOST_SLACK_TEXELS: f32 = 3.0;
+pub const MOST_SLACK_TEXELS: f32 = 4.0;
 
 /// Most squares of the pyramid that are looked at to prove a point lit. Higher: fewer rays, dearer proofs.
 pub const MOST_VISITS: u32 = 96;
@@ -174,10 +174,10 @@ pub fn certify(maps: &ShadowMaps, index: u32, light: &Light, s: &Surface) -> Cer
     let n_across = (1.0 - n_forward * n_forward).max(0.0).sqrt();
     let n_along = s.n_geometric.dot(along).abs();
     let width = if parallel { texel } else { texel * z_receiver };
-    if 2.5 * n_across > MOST_SLACK_TEXELS * n_along {
+    if 1.2 * n_across > MOST_SLACK_TEXELS * n_along {
         return Unknown;
     }
-    let nearest_own = z_receiver - (2.5 * width * n_across / n_along + 1e-4 * z_receiver);
+    let nearest_own = z_receiver - (1.2 * width * n_across / n_along + 1e-4 * z_receiver);
     let reaches = |depth: f32, off_uv: Vec2| {
         let z = depth * view.far;
         z < nearest_own && (off_uv * 2.0 * half_extent).length() <= spread(z, z_receiver) + texel

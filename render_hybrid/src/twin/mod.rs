@@ -2,6 +2,7 @@
 //! `shaders/shared/*.wgsl`; tests/twins.rs evaluates both over tables of inputs.
 
 pub mod certified;
+pub mod interleave;
 pub mod moments;
 pub mod shading;
 pub mod shadow;

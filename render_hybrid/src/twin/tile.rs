@@ -4,6 +4,7 @@
 use glam::Vec3;
 use std::time::Instant;
 
+use super::interleave::{self, Guide};
 use crate::{
     accel::{Hit, Ray},
     output::RayCounts,
@@ -81,8 +82,10 @@ pub struct TileScratch {
     traced_list: Vec<Vec3>,
     /// Direct radiance per pixel, in the order of `gbuffer`.
     pub direct: Vec<Vec3>,
-    /// Indirect radiance.
+    /// Indirect radiance; black where VPLs are interleaved.
     pub indirect: Vec<Vec3>,
+    /// What the filter needs where VPLs are interleaved.
+    pub guides: Vec<Guide>,
     /// Radiance of mirrors and glass.
     pub traced: Vec<Vec3>,
 }
@@ -101,7 +104,10 @@ pub fn render_tile(ctx: &FrameContext, rect: TileRect, s: &mut TileScratch) -> T
     lap(0, &mut stats);
     fill_direct(ctx, s, &mut stats.rays);
     lap(1, &mut stats);
-    fill_indirect(ctx, s, &mut stats.rays);
+    match ctx.settings.vpl.map_or(1, |v| v.interleave) {
+        n if n > 1 => fill_guides(ctx, n, s, &mut stats.rays),
+        _ => fill_indirect(ctx, s, &mut stats.rays),
+    }
     lap(2, &mut stats);
     fill_traced(ctx, s, &mut stats);
     lap(3, &mut stats);
@@ -154,20 +160,67 @@ fn fill_direct(ctx: &FrameContext, s: &mut TileScratch, rays: &mut RayCounts) {
     }
 }
 
-/// Indirect radiance of the tile's pixels.
+/// Indirect radiance of the tile's pixels, by all VPLs.
 pub fn fill_indirect(ctx: &FrameContext, s: &mut TileScratch, rays: &mut RayCounts) {
     s.indirect.clear();
     s.indirect.resize(s.gbuffer.len(), Vec3::ZERO);
+    light_points(ctx, s, 0..ctx.vpls.len(), |_| true, rays);
+    for (p, &i) in s.point_of.iter().enumerate() {
+        s.indirect[i as usize] = albedo(ctx, &s.gbuffer[i as usize]) * s.points.irradiance(p);
+    }
+}
+
+/// Irradiance of the tile's pixels, each by its own subset of the VPLs, into `guides`; `indirect` is left black, the filter
+/// over the whole picture makes it.
+fn fill_guides(ctx: &FrameContext, n: u32, s: &mut TileScratch, rays: &mut RayCounts) {
+    s.indirect.clear();
+    s.indirect.resize(s.gbuffer.len(), Vec3::ZERO);
+    s.guides.clear();
+    s.guides.resize(s.gbuffer.len(), Guide::default());
+    let width = ctx.settings.width;
+    for k in 0..n * n {
+        let run = interleave::subset_range(ctx.vpls.len(), k, n * n);
+        light_points(ctx, s, run.clone(), |pixel| interleave::subset_of(pixel % width, pixel / width, n) == k, rays);
+        for (p, &i) in s.point_of.iter().enumerate() {
+            let g = &s.gbuffer[i as usize];
+            let Some(surface) = &g.surface else { continue };
+            // A subset without VPLs leaves no light behind.
+            let irradiance = if run.is_empty() { Vec3::ZERO } else { s.points.irradiance(p) };
+            s.guides[i as usize] = Guide {
+                position_world: surface.position_world,
+                normal: surface.n_shading,
+                irradiance: irradiance * (n * n) as f32,
+                albedo: albedo(ctx, g),
+            };
+        }
+    }
+}
+
+/// What turns a pixel's irradiance into radiance; zero where it has no matte share.
+fn albedo(ctx: &FrameContext, g: &GBufferPixel) -> Vec3 {
+    match &g.surface {
+        Some(s) => shade::indirect_albedo(&ctx.scene.materials[s.material as usize], s),
+        None => Vec3::ZERO,
+    }
+}
+
+/// Lights the matte pixels that `take` chooses by a run of the VPLs: `points` and `point_of` hold them.
+fn light_points(
+    ctx: &FrameContext,
+    s: &mut TileScratch,
+    run: std::ops::Range<usize>,
+    take: impl Fn(u32) -> bool,
+    rays: &mut RayCounts,
+) {
+    s.points.clear();
+    s.point_of.clear();
     if ctx.vpls.is_empty() {
         return;
     }
-    s.points.clear();
-    s.point_of.clear();
     for (i, g) in s.gbuffer.iter().enumerate() {
         let Some(surface) = &g.surface else { continue };
         // Pixels without a matte share receive nothing.
-        let m = &ctx.scene.materials[surface.material as usize];
-        if shade::indirect_albedo(m, surface) != Vec3::ZERO {
+        if take(g.pixel) && albedo(ctx, g) != Vec3::ZERO {
             s.points.push(surface.position_world, surface.n_shading);
             s.point_of.push(i as u32);
         }
@@ -175,12 +228,7 @@ pub fn fill_indirect(ctx: &FrameContext, s: &mut TileScratch, rays: &mut RayCoun
     s.points.pad();
     let gbuffer = &s.gbuffer;
     let surfaces = s.point_of.iter().map(|&i| gbuffer[i as usize].surface.as_ref().expect("a point has a surface"));
-    shade::indirect_light(ctx, &mut s.points, surfaces, &mut s.vpl_rays, rays);
-    for (p, &i) in s.point_of.iter().enumerate() {
-        let surface = s.gbuffer[i as usize].surface.as_ref().expect("a point has a surface");
-        let m = &ctx.scene.materials[surface.material as usize];
-        s.indirect[i as usize] = shade::indirect_albedo(m, surface) * s.points.irradiance(p);
-    }
+    shade::indirect_light(ctx, run, &mut s.points, surfaces, &mut s.vpl_rays, rays);
 }
 
 fn fill_traced(ctx: &FrameContext, s: &mut TileScratch, stats: &mut TileStats) {
