@@ -3,7 +3,7 @@
 //!
 //! [`animate`] runs in [`crate::FixedUpdate`] and writes `Transform` and [`MorphWeights`]; [`deform`] runs after transforms
 //! have propagated and gives each [`Deformer`] a mesh of its own at its new pose. Meshes are immutable, so a deformed one is
-//! another mesh: its tree is built anew in each frame in which it moves, and no other.
+//! another mesh: renderers refit or rebuild its tree in each frame in which it moves, and no other.
 
 use crate::{
     assets::{Assets, MeshId},

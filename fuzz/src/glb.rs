@@ -1,8 +1,6 @@
 //! What holds for any bytes taken as a glTF or GLB file. Shared by the fuzz target and the test over its corpus.
 
-use catoptra_engine::{
-    Extracted, ImportLimits, app, fit, gltf::export_glb_bytes, load_gltf_bytes,
-};
+use catoptra_engine::{Extracted, ImportLimits, app, fit, gltf::export_glb_bytes, load_gltf_bytes};
 use catoptra_render_hybrid::{RasterLane, RenderSettings, Renderer, RendererOptions};
 
 /// Far less than an import may take, so that a run is short.
@@ -31,7 +29,8 @@ pub fn check(data: &[u8]) {
     if !scene.report.has_camera {
         drawn.camera = fit::fit_camera(scene.bounds_world());
     }
-    let settings = RenderSettings { width: 16, height: 12, ..RenderSettings::preset(catoptra_render_hybrid::Preset::Draft) };
+    let settings =
+        RenderSettings { width: 16, height: 12, ..RenderSettings::preset(catoptra_render_hybrid::Preset::Draft) };
     let options = RendererOptions { raster: RasterLane::Cpu, threads: 1, ..Default::default() };
     let mut renderer = Renderer::new(options).expect("the CPU lane is always there");
     if let Ok(frame) = renderer.render(&drawn, &settings) {

@@ -1,7 +1,8 @@
 //! What holds for any `RenderScene`, however it was put together. Shared by the fuzz target and the test over its corpus.
 
 use catoptra_engine::{
-    Camera, Environment, Instance, Light, LightKind, Material, Mesh, MeshData, Projection, RenderScene, Texture, TextureRef,
+    Camera, Environment, Instance, Light, LightKind, Material, Mesh, MeshData, Projection, RenderScene, Texture,
+    TextureRef,
     glam::{Affine3, Mat3, Vec2, Vec3},
 };
 use catoptra_render_hybrid::{
@@ -53,7 +54,8 @@ fn build(r: &mut Recipe) -> RenderScene {
     for _ in 0..1 + r.index(3) {
         let n = 3 + r.index(6);
         let positions: Vec<Vec3> = (0..n).map(|_| r.vector()).collect();
-        let uvs = if r.byte() % 2 == 0 { Vec::new() } else { (0..n).map(|_| Vec2::new(r.number(), r.number())).collect() };
+        let uvs =
+            if r.byte() % 2 == 0 { Vec::new() } else { (0..n).map(|_| Vec2::new(r.number(), r.number())).collect() };
         let normals = if r.byte() % 2 == 0 { Vec::new() } else { (0..n).map(|_| r.vector()).collect() };
         let triangles = (0..1 + r.index(6)).map(|_| [r.index(n), r.index(n), r.index(n)]).collect();
         if let Ok(mesh) = Mesh::new(MeshData { positions, normals, uvs, triangles, ..Default::default() }) {
@@ -61,7 +63,8 @@ fn build(r: &mut Recipe) -> RenderScene {
         }
     }
     for _ in 0..1 + r.index(3) {
-        let map = |r: &mut Recipe| (r.byte() % 3 == 0).then(|| TextureRef { texture: r.index(2), ..Default::default() });
+        let map =
+            |r: &mut Recipe| (r.byte() % 3 == 0).then(|| TextureRef { texture: r.index(2), ..Default::default() });
         scene.materials.push(Material {
             base_color: r.color(),
             base_color_texture: map(r),
@@ -101,7 +104,14 @@ fn build(r: &mut Recipe) -> RenderScene {
         let direction_world = r.vector().normalize_or(Vec3::NEG_Y);
         let light = Light::point(u64::from(id), r.vector());
         let up_world = direction_world.any_orthonormal_vector();
-        scene.lights.push(Light { kind, direction_world, up_world, intensity: r.color() * 10.0, radius: r.unit(), ..light });
+        scene.lights.push(Light {
+            kind,
+            direction_world,
+            up_world,
+            intensity: r.color() * 10.0,
+            radius: r.unit(),
+            ..light
+        });
     }
     scene.camera = Camera::looking_at(r.vector(), r.vector(), 0.1 + r.unit());
     if r.byte() % 4 == 0 {
