@@ -45,6 +45,12 @@ impl Recipe<'_> {
     }
 }
 
+/// A number of one of `n` things, now and then of one that is not there.
+fn number_of(r: &mut Recipe, n: usize) -> u32 {
+    let beyond = u32::from(r.byte() % 32 == 0);
+    r.index((n as u32 + beyond).max(1))
+}
+
 fn build(r: &mut Recipe) -> RenderScene {
     let mut scene = RenderScene::default();
     scene.textures.push(Arc::new(
@@ -87,8 +93,8 @@ fn build(r: &mut Recipe) -> RenderScene {
     for id in 0..r.index(8) {
         scene.instances.push(Instance {
             stable_id: u64::from(id),
-            mesh: r.index(scene.meshes.len() as u32 + u32::from(r.byte() % 32 == 0)).min(8),
-            material: r.index(scene.materials.len() as u32 + u32::from(r.byte() % 32 == 0)),
+            mesh: number_of(r, scene.meshes.len()),
+            material: number_of(r, scene.materials.len()),
             world_from_object: Affine3 {
                 matrix3: Mat3::from_cols(r.vector(), r.vector(), r.vector()),
                 translation: r.vector(),
