@@ -13,7 +13,8 @@
 
 struct MomentsUniform {
     view: u32,
-    unused0: u32,
+    // Texels hold both exponential warps and their squares, else depth and its square.
+    evsm: u32,
     unused1: u32,
     unused2: u32,
 }
@@ -68,6 +69,5 @@ fn fragment(in: Varyings) -> @location(0) vec4f {
     if alpha < material.alpha_cutoff {
         discard;
     }
-    let depth = clamp(in.depth, 0.0, 1.0);
-    return vec4f(depth, depth * depth, 0.0, 0.0);
+    return moments_of(pass_uniform.evsm, in.depth);
 }
