@@ -3,7 +3,7 @@
 //!
 //! [`animate`] runs in [`crate::FixedUpdate`] and writes `Transform` and [`MorphWeights`]; [`deform`] runs after transforms
 //! have propagated and gives each [`Deformer`] a mesh of its own at its new pose. Meshes are immutable, so a deformed one is
-//! another mesh: its tree is built anew in each frame in which it moves, and no other.
+//! another mesh: renderers refit or rebuild its tree in each frame in which it moves, and no other.
 
 use crate::{
     assets::{Assets, MeshId},
@@ -319,7 +319,11 @@ mod tests {
         let quarter = Quat::from_rotation_y(std::f32::consts::FRAC_PI_2);
         for end in [quarter, -quarter] {
             let half = Quat::IDENTITY.between(end, 0.5);
-            assert!((half.mul_vec3(Vec3::X) - Quat::from_rotation_y(0.785_398_2).mul_vec3(Vec3::X)).length() < 1e-6);
+            assert!(
+                (half.mul_vec3(Vec3::X) - Quat::from_rotation_y(std::f32::consts::FRAC_PI_4).mul_vec3(Vec3::X))
+                    .length()
+                    < 1e-6
+            );
         }
         assert_eq!(Quat::from_xyzw(0.0, 0.0, 0.0, 0.0).mended(), Quat::IDENTITY);
     }

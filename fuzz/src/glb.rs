@@ -17,10 +17,12 @@ const LIMITS: ImportLimits = ImportLimits {
     coordinate: 1e9,
 };
 
+/// True where the file was read and its scene drawn.
+///
 /// # Panics
 /// Where something that must hold does not.
-pub fn check(data: &[u8]) {
-    let Ok(scene) = load_gltf_bytes(data, None, &LIMITS) else { return };
+pub fn check(data: &[u8]) -> bool {
+    let Ok(scene) = load_gltf_bytes(data, None, &LIMITS) else { return false };
     let mut app = app::new_app();
     scene.spawn(app.world_mut(), 1);
     app::settle(&mut app);
@@ -33,7 +35,8 @@ pub fn check(data: &[u8]) {
         RenderSettings { width: 16, height: 12, ..RenderSettings::preset(catoptra_render_hybrid::Preset::Draft) };
     let options = RendererOptions { raster: RasterLane::Cpu, threads: 1, ..Default::default() };
     let mut renderer = Renderer::new(options).expect("the CPU lane is always there");
-    if let Ok(frame) = renderer.render(&drawn, &settings) {
+    let frame = renderer.render(&drawn, &settings);
+    if let Ok(frame) = &frame {
         assert!(frame.image.pixels.iter().flatten().all(|v| v.is_finite()), "a pixel is not finite");
     }
     // What came in goes out, and comes back as the same things.
@@ -45,4 +48,5 @@ pub fn check(data: &[u8]) {
         let again = again.unwrap_or_else(|e| panic!("our own export is refused: {e}"));
         assert_eq!(again.triangle_count(), still.triangle_count());
     }
+    frame.is_ok()
 }

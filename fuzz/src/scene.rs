@@ -45,6 +45,12 @@ impl Recipe<'_> {
     }
 }
 
+/// A number of one of `n` things, now and then of one that is not there.
+fn number_of(r: &mut Recipe, n: usize) -> u32 {
+    let beyond = u32::from(r.byte() % 32 == 0);
+    r.index((n as u32 + beyond).max(1))
+}
+
 fn build(r: &mut Recipe) -> RenderScene {
     let mut scene = RenderScene::default();
     scene.textures.push(Arc::new(
@@ -69,12 +75,12 @@ fn build(r: &mut Recipe) -> RenderScene {
             base_color: r.color(),
             base_color_texture: map(r),
             specular: r.color(),
-            shininess: r.number(),
+            shininess: r.number().abs(),
             emissive: if r.byte() % 4 == 0 { r.color() } else { Vec3::ZERO },
             mirror: if r.byte() % 2 == 0 { r.unit() } else { 0.0 },
             transmission: if r.byte() % 2 == 0 { r.unit() } else { 0.0 },
             ior: 1.0 + r.unit(),
-            attenuation_distance: r.number(),
+            attenuation_distance: r.number().abs(),
             thin: r.byte() % 4 == 0,
             alpha_cutoff: if r.byte() % 3 == 0 { r.unit() } else { 0.0 },
             normal_texture: map(r),
@@ -87,8 +93,8 @@ fn build(r: &mut Recipe) -> RenderScene {
     for id in 0..r.index(8) {
         scene.instances.push(Instance {
             stable_id: u64::from(id),
-            mesh: r.index(scene.meshes.len() as u32 + u32::from(r.byte() % 32 == 0)).min(8),
-            material: r.index(scene.materials.len() as u32 + u32::from(r.byte() % 32 == 0)),
+            mesh: number_of(r, scene.meshes.len()),
+            material: number_of(r, scene.materials.len()),
             world_from_object: Affine3 {
                 matrix3: Mat3::from_cols(r.vector(), r.vector(), r.vector()),
                 translation: r.vector(),
@@ -121,9 +127,11 @@ fn build(r: &mut Recipe) -> RenderScene {
     scene
 }
 
+/// True where the scene was drawn, false where it was refused.
+///
 /// # Panics
 /// Where something that must hold does not.
-pub fn check(data: &[u8]) {
+pub fn check(data: &[u8]) -> bool {
     let mut r = Recipe(data);
     let mut scene = build(&mut r);
     if scene.meshes.is_empty() {
@@ -144,7 +152,7 @@ pub fn check(data: &[u8]) {
     let mut first = renderer();
     let drawn = first.render(&scene, &settings);
     assert_eq!(drawn.is_ok(), scene.validate().is_ok(), "a valid scene is drawn, another refused");
-    let Ok(drawn) = drawn else { return };
+    let Ok(drawn) = drawn else { return false };
     assert!(drawn.image.pixels.iter().flatten().all(|v| v.is_finite()), "a pixel is not finite");
     first.accel().validate().unwrap_or_else(|e| panic!("the trees are broken: {e}"));
     // A moved and moved-back world is the same world.
@@ -164,4 +172,5 @@ pub fn check(data: &[u8]) {
     assert_eq!(all.first().copied(), query.raycast(&ray));
     assert!(all.is_sorted_by(|a, b| a.t < b.t));
     assert_eq!(query.occluded(&ray), !all.is_empty());
+    true
 }

@@ -1,7 +1,7 @@
 //! The module as a plugin: pictures follow the world, each camera has its own, and an edited world equals a fresh one.
 
 use catoptra_engine::{
-    Assets, CameraProjection, LightSource, Material, MeshInstance, Projection, RenderScene, StableId,
+    Assets, CameraProjection, LightSource, Material, Mesh, MeshData, MeshInstance, Projection, RenderScene, StableId,
     app::settle,
     bevy_app::App,
     bevy_ecs::{hierarchy::ChildOf, prelude::*, system::RunSystemOnce},
@@ -250,4 +250,24 @@ fn a_world_of_a_thousand_frames_of_edits_equals_a_fresh_one() {
     let (early, late) = sizes.split_at(sizes.len() / 2);
     assert!(most(late) <= 2 * most(early), "{} upper nodes became {}", most(early), most(late));
     assert!(sizes.iter().all(|s| s.trees <= 3));
+}
+
+#[test]
+fn a_deformed_mesh_is_refitted_not_built() {
+    let (mut app, ball, ..) = world();
+    let slot = app.world().get::<MeshInstance>(ball).unwrap().mesh.0 as usize;
+    for i in 1..4 {
+        let mut assets = app.world_mut().resource_mut::<Assets>();
+        let old = assets.meshes[slot].clone();
+        let data = MeshData {
+            positions: old.positions().iter().map(|p| *p * Vec3::new(1.0, 1.0 + 0.1 * i as f32, 0.9)).collect(),
+            normals: old.normals().to_vec(),
+            triangles: old.triangles().to_vec(),
+            ..Default::default()
+        };
+        assets.meshes[slot] = std::sync::Arc::new(Mesh::new(data).unwrap());
+        app.update();
+        assert_eq!(first(&app).stats.blas_builds, 0);
+        assert_eq!(hash(&app), fresh_hash(&app), "pose {i}: refitted trees give the hits of built ones");
+    }
 }
