@@ -189,7 +189,7 @@ impl Default for RenderSettings {
 pub enum Preset {
     /// 16 VPLs without shadows, depth 4: editing.
     Draft,
-    /// 256 VPLs with shadow maps, filtered shadows, depth 8: play.
+    /// 64 VPLs without visibility (the thesis's choice), filtered shadows, depth 8: play.
     #[default]
     Interactive,
     /// 2,048 VPLs with shadow maps, certified soft shadows, depth 16: stills.
@@ -224,7 +224,17 @@ impl RenderSettings {
                 min_weight: 1.0 / 64.0,
                 ..base
             },
-            Preset::Interactive => base,
+            // Below 128 VPLs the edges of their few hard shadows cost more FLIP than the light that leaks (docs/light.md), and
+            // their maps four times the time.
+            Preset::Interactive => Self {
+                vpl: Some(VplOptions {
+                    count: 64,
+                    geometry_term_max: Some(20.0),
+                    shadows: VplShadows::Off,
+                    ..VplOptions::default()
+                }),
+                ..base
+            },
             Preset::High => Self {
                 shadows: Shadows::Certified,
                 vpl: Some(VplOptions {
