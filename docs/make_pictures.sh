@@ -17,13 +17,13 @@ for scene in rolling-box rolling-box-donut two-spheres rolling-box-venus rolling
     # docs/scenes.md: final against direct light only, and the animation, as the thesis's figures 5.2 to 5.6.
     "$catoptra" render $scene --frame 30 --size 512x512 --raster cpu --layer direct --out "$out/direct" >/dev/null
     im montage "$out/full/$scene-0030.png" "$out/direct/$scene-direct-0030.png" -filter Box -resize 320x320 \
-        -tile 2x1 -geometry +2+2 -strip "$pictures/$scene-final-direct.png"
+        -tile 2x1 -geometry +2+2 -depth 8 -strip "$pictures/$scene-final-direct.png"
     frames=()
     for k in 0 30 60 90 120 150; do
         "$catoptra" render $scene --frame $k --size 384x384 --raster cpu --out "$out/frames" >/dev/null
         frames+=("$out/frames/$scene-$(printf %04d $k).png")
     done
-    im montage "${frames[@]}" -filter Box -resize 192x192 -tile 3x2 -geometry +2+2 -strip "$pictures/$scene-frames.png"
+    im montage "${frames[@]}" -filter Box -resize 192x192 -tile 3x2 -geometry +2+2 -depth 8 -strip "$pictures/$scene-frames.png"
 done
 
 # README: what each stage adds to one scene.
@@ -35,7 +35,7 @@ for layer in "${layers[@]}"; do
     strip+=(-label "$layer" "$out/layers/$scene-$layer-0030.png")
 done
 strip+=(-label final "$out/full/$scene-0030.png")
-im montage "${strip[@]}" -filter Box -resize 200x200 -tile 3x3 -geometry +3+3 -strip "$pictures/stages.png"
+im montage "${strip[@]}" -filter Box -resize 200x200 -tile 3x3 -geometry +3+3 -depth 8 -strip "$pictures/stages.png"
 
 for f in $pictures/*.png; do
     size=$(stat -c %s "$f")
