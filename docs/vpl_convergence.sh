@@ -12,7 +12,7 @@ relmse() { # options of render
         --bounces $bounces --out "$out" "$@" >/dev/null 2>&1
     "$catoptra" compare "$out/$scene-00$frame.exr" "$out/truth.exr" | grep -oE 'relmse=[^ ]+' | cut -d= -f2
 }
-echo "| VPLs | relMSE, bound off | relMSE, interactive bound |"
+echo "| VPLs | relMSE, bound off | relMSE, bound 20 |"
 echo "|---|---|---|"
 for n in 64 256 1024 4096 16384; do
     off=$(relmse --vpls $n --vpl-shadows traced --vpl-bound off)
