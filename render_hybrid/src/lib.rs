@@ -1,5 +1,5 @@
 //! Hybrid rendering: a [`catoptra_engine::RenderScene`] becomes a picture by rasterised (or ray-cast) direct and indirect
-//! light and Whitted-traced mirrors and glass. [`frame`] is the whole frame, one readable function.
+//! light and Whitted-traced mirrors and glass. `frame.rs` is the whole frame, one readable function.
 
 pub mod accel;
 pub mod error;

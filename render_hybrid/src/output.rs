@@ -59,7 +59,7 @@ pub enum Layer {
     Normal,
     /// base_color.
     Albedo,
-    /// First shadow map at its own size: (E[z], E[z²], 0), or the first two moments of the positive warp (`evsm4`).
+    /// First shadow map at its own size: (E(z), E(z²), 0), or the first two moments of the positive warp (`evsm4`).
     Moments,
 }
 

@@ -1,6 +1,6 @@
 //! Run-time choice of instruction set for loops over flat arrays.
 //!
-//! A kernel is written once, as a plain loop in an `#[inline(always)]` function; [`dispatch!`] compiles it for each level
+//! A kernel is written once, as a plain loop in an `#[inline(always)]` function; `dispatch!` compiles it for each level
 //! and calls the one that the processor has. Rust never contracts a·b+c into an FMA on its own, so every level computes
 //! the same operations in the same order: the same bits.
 //!

@@ -73,7 +73,7 @@ pub fn shadow_project(view: &ShadowView, point_world: Vec3) -> ShadowCoord {
 ///
 /// p = σ²/(σ²+(t−μ)²), the one-sided Chebyshev inequality, then light-bleed reduction (the part below it is cut, the rest
 /// stretched to [0, 1]).
-/// * `moments`: (E[z], E[z²]), z linear light-space depth in [0, 1]
+/// * `moments`: (E(z), E(z²)), z linear light-space depth in [0, 1]
 /// * `min_variance`: floor on σ², > 0. Higher: less acne, softer contacts
 /// * `light_bleed_reduction`: in [0, 1). Higher: less bleeding, thinner penumbrae
 ///
