@@ -36,6 +36,8 @@ pub struct Environment {
 ///
 /// `revision` and `moved` let a renderer update only what moved; they are hints that never change the picture: a renderer
 /// that missed a revision (or met another world's scene, told by `origin`) compares everything.
+/// Who edits a scene by hand says so: `begin_revision` first, then `set_transform` for moves; any other change of instances,
+/// meshes or materials also sets `structure_revision = revision`.
 #[derive(Debug, Default)]
 pub struct RenderScene {
     /// Meshes; two instances of one mesh share its acceleration structure. Identity is the `Arc`'s address.
