@@ -2,6 +2,7 @@
 //! closed sphere by `reference`. tests/analytic.rs holds the same cases by the library, and proves their tolerances.
 //! Where that folder is absent (a fresh clone) this skips loudly.
 
+use catoptra_engine::gltf::{ImportLimits, load_gltf};
 use catoptra_render_hybrid::{Image, image_io};
 use serde_json::Value;
 use std::{
@@ -35,6 +36,18 @@ fn catoptra(args: &[&str]) {
     assert!(output.status.success(), "{args:?}: {}", String::from_utf8_lossy(&output.stderr));
 }
 
+/// Whether the machine has any adapter. With `CI` set it must.
+fn has_adapter() -> bool {
+    let folder = out("adapter");
+    let arguments = ["render", "rolling-box", "--size", "8x8", "--raster", "gpu", "--out", folder.to_str().unwrap()];
+    let found = Command::new(env!("CARGO_BIN_EXE_catoptra")).args(arguments).output().unwrap().status.success();
+    if !found {
+        assert!(std::env::var_os("CI").is_none(), "CI without an adapter");
+        let _ = writeln!(std::io::stderr(), "SKIPPED the GPU lane: there is no adapter");
+    }
+    found
+}
+
 fn out(name: &str) -> PathBuf {
     let dir = Path::new(env!("CARGO_TARGET_TMPDIR")).join(format!("analytic-{name}"));
     let _ = std::fs::remove_dir_all(&dir);
@@ -45,7 +58,7 @@ fn out(name: &str) -> PathBuf {
 /// The linear picture that `render` writes of a file. The one EXR in the folder is it.
 fn render(file: &Path, name: &str, more: &[&str]) -> Image {
     let dir = out(name);
-    let base = ["render", file.to_str().unwrap(), "--shadows", "traced", "--format", "exr", "--raster", "cpu"];
+    let base = ["render", file.to_str().unwrap(), "--shadows", "traced", "--format", "exr"];
     catoptra(&[&base[..], &["--out", dir.to_str().unwrap()], more].concat());
     let exr: Vec<PathBuf> = std::fs::read_dir(&dir)
         .unwrap()
@@ -119,5 +132,84 @@ fn reference_of_the_closed_sphere() {
         let expected = case["expected"][format!("N={bounces}")].as_f64().unwrap();
         println!("N = {bounces}: {value:.6} for {expected:.6}");
         assert!((value / expected - 1.0).abs() <= case["tolerance"].as_f64().unwrap(), "N = {bounces}: {value}");
+    }
+}
+
+/// What the wall behind the slab sends to a pixel of glass_slab.glb, red channel, were its ray shifted sideways by
+/// `displacement` metres on its way through the slab (1 m thick, front at z = 0): the sum over all odd numbers of crossings.
+/// `o` and `d`: the camera's ray; `light`: place and intensity of the lamp that lights that wall (z = -6, albedo 0.8).
+fn seen_through_slab(o: [f64; 3], d: [f64; 3], light: ([f64; 3], f64), displacement: f64) -> f64 {
+    let (across, cos) = ((d[0] * d[0] + d[1] * d[1]).sqrt(), -d[2]);
+    let cos_inside = (1.0 - across * across / 2.25).sqrt();
+    let rs = (cos - 1.5 * cos_inside) / (cos + 1.5 * cos_inside);
+    let rp = (cos_inside - 1.5 * cos) / (cos_inside + 1.5 * cos);
+    let reflected = 0.5 * (rs * rs + rp * rp);
+    let slope = across / cos;
+    // A displacement is measured across the ray; along the face it is longer by 1 / cos.
+    let crossing = slope - displacement / cos;
+    let mut weight = (1.0 - reflected) * (1.0 - reflected);
+    let mut sum = 0.0;
+    for crossings in (1..40).step_by(2) {
+        let sideways = (o[2] + 5.0) * slope + crossing * f64::from(crossings);
+        let at = |i: usize| o[i] + d[i] / across * sideways;
+        let (place, height) = (light.0, light.0[2] + 6.0);
+        let squared =
+            (at(0) - place[0]) * (at(0) - place[0]) + (at(1) - place[1]) * (at(1) - place[1]) + height * height;
+        sum += weight * 0.8 / std::f64::consts::PI * light.1 * height / (squared * squared.sqrt());
+        weight *= reflected * reflected;
+    }
+    sum
+}
+
+/// The displacement of the slab's own case, read off the picture: the walls' lamps have different colours, so that a weighted
+/// difference of two channels leaves what came through the slab, and the wall's falloff tells where it was seen.
+#[test]
+fn displacement_of_the_glass_slab() {
+    let Some(folder) = folder() else { return };
+    let cases = cases(&folder);
+    let case = case(&cases, "slab_displacement");
+    let file = folder.join(case["glb"].as_str().unwrap());
+    let tolerance = case["tolerance"].as_f64().unwrap();
+    let scene = load_gltf(&file, &ImportLimits::default()).unwrap().to_render_scene(0);
+    let lamp = &scene.lights[0];
+    let light = (lamp.position_world.to_array().map(f64::from), f64::from(lamp.intensity.x));
+    let formula = |sin: f64| sin * (1.0 - (1.0 - sin * sin).sqrt() / (2.25 - sin * sin).sqrt());
+    for lane in ["cpu", "gpu"] {
+        if lane == "gpu" && !has_adapter() {
+            continue;
+        }
+        let more = ["--size", "128x96", "--no-indirect", "--depth", "16", "--min-weight", "1e-7", "--raster", lane];
+        let image = render(&file, &format!("slab-{lane}"), &more);
+        let mut worst = 0.0f64;
+        let mut seen = [0; 5]; // Pixels of each 15 degrees that were read.
+        for (x, y) in (0..96).step_by(3).flat_map(|y| (0..128).step_by(3).map(move |x| (x, y))) {
+            let (o, d) = scene.camera.ray(x as f32 + 0.5, y as f32 + 0.5, 128, 96);
+            let (o, d) = (o.to_array().map(f64::from), d.to_array().map(f64::from));
+            let sin = (d[0] * d[0] + d[1] * d[1]).sqrt();
+            if sin < 0.01 {
+                continue;
+            }
+            let expected = formula(sin);
+            let value = |displacement: f64| seen_through_slab(o, d, light, displacement);
+            // Red of the second lamp is four times its blue; the first is white.
+            let [red, _, blue] = image.at(x, y).map(f64::from);
+            let measured = (4.0 * blue - red) / 3.0;
+            // Where the falloff is steep a relative error of 1e-5 is one of less than half the tolerance.
+            let slope = (value(expected + 1e-4) - value(expected - 1e-4)) / (2e-4 * value(expected));
+            if slope.abs() < 0.25 {
+                continue;
+            }
+            // Newton's method towards what the picture holds.
+            let mut found = expected;
+            for _ in 0..8 {
+                let derivative = (value(found + 1e-6) - value(found - 1e-6)) / 2e-6;
+                found -= (value(found) - measured) / derivative;
+            }
+            worst = worst.max((found - expected).abs());
+            seen[(sin.asin().to_degrees() / 15.0) as usize] += 1;
+        }
+        println!("{lane}: displacement within {worst:.1e} m, pixels by 15 degrees: {seen:?}");
+        assert!(seen.iter().filter(|n| **n >= 10).count() >= 4, "{lane}: {seen:?}");
+        assert!(worst <= tolerance, "{lane}: {worst:e} m");
     }
 }

@@ -57,7 +57,7 @@ pub enum Tracer {
 pub enum PresetArg {
     /// 16 VPLs without shadows, depth 4: editing
     Draft,
-    /// 256 VPLs with shadow maps, depth 8: play
+    /// 64 VPLs without shadows, depth 8: play
     #[default]
     Interactive,
     /// 2,048 VPLs with shadow maps, shadows by rays where they matter: stills
@@ -188,6 +188,9 @@ pub struct PictureArgs {
     /// Most mirrors and glass interfaces on a path
     #[arg(long, value_name = "D", value_parser = clap::value_parser!(u32).range(1..=64))]
     pub depth: Option<u32>,
+    /// Least part of a pixel that a ray must carry to be traced, from 0 up
+    #[arg(long, value_name = "W")]
+    pub min_weight: Option<f32>,
     /// Tree of each mesh
     #[arg(long, value_enum, default_value_t)]
     pub blas: Blas,
@@ -292,6 +295,7 @@ impl PictureArgs {
         }
         s.shadow_samples = self.shadow_samples.unwrap_or(s.shadow_samples);
         s.max_depth = self.depth.unwrap_or(s.max_depth);
+        s.min_weight = self.min_weight.unwrap_or(s.min_weight);
         s.tile = self.tile.unwrap_or(s.tile);
         s.seed = self.seed.unwrap_or(s.seed);
         s.vpl = self.vpl_options(s.vpl);
