@@ -2,6 +2,7 @@
 
 use glam::{Affine3, Vec2, Vec3, Vec4};
 use std::collections::HashMap;
+use std::sync::OnceLock;
 
 /// Axis-aligned box, `min` and `max` inclusive. Empty when `min > max`.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -113,11 +114,12 @@ pub enum MeshError {
 pub struct Mesh {
     data: MeshData,
     bounds_object: Aabb,
-    closed: bool,
+    /// Found when it is first asked for: welding costs as much as half a tree.
+    closed: OnceLock<bool>,
 }
 
 impl Mesh {
-    /// Checks the data and derives bounds and closedness. Missing normals become flat ones.
+    /// Checks the data and derives bounds. Missing normals become flat ones.
     ///
     /// # Errors
     /// [`MeshError`] where arrays disagree in length, an index is out of range or a position is not finite.
@@ -141,16 +143,16 @@ impl Mesh {
                 return Err(MeshError::Index { triangle, vertex, positions: n });
             }
         }
-        let closed = is_closed(&data);
         if data.normals.is_empty() && !data.triangles.is_empty() {
             data = with_flat_normals(data);
         }
         let used = data.triangles.iter().flatten().map(|&v| data.positions[v as usize]);
         let bounds_object = Aabb::from_points(used);
-        Ok(Self { data, bounds_object, closed })
+        Ok(Self { data, bounds_object, closed: OnceLock::new() })
     }
 
     /// Vertex positions, object space.
+    #[inline]
     pub fn positions(&self) -> &[Vec3] {
         &self.data.positions
     }
@@ -171,6 +173,7 @@ impl Mesh {
         &self.data.colors
     }
     /// Triangles as vertex numbers.
+    #[inline]
     pub fn triangles(&self) -> &[[u32; 3]] {
         &self.data.triangles
     }
@@ -179,12 +182,12 @@ impl Mesh {
         self.bounds_object
     }
     /// True where every edge is shared by exactly two triangles of opposite direction, with vertices welded by exact
-    /// position: the mesh bounds a volume, so glass refracts through it. False for open or inconsistently wound meshes,
-    /// which glass treats as thin walls.
+    /// position: the mesh bounds a volume. False for open or inconsistently wound meshes. Found at the first call.
     pub fn closed(&self) -> bool {
-        self.closed
+        *self.closed.get_or_init(|| is_closed(&self.data))
     }
     /// Positions of the three corners of a triangle.
+    #[inline]
     pub fn corners(&self, primitive_id: u32) -> [Vec3; 3] {
         self.data.triangles[primitive_id as usize].map(|v| self.data.positions[v as usize])
     }

@@ -1,6 +1,7 @@
 //! The ray core as a plug-in (a C library) for the side-by-side harness that measures it against Embree and obvhs in one
 //! process. Variants: `single` (one ray a call), `packet` (batches), `kdtree` (batches over the thesis's kd-tree), each also
-//! at a fixed SIMD level: `single-portable`, `packet-avx2` and so on.
+//! at a fixed SIMD level: `single-portable`, `packet-avx2` and so on. `single-counted` and its like print what the rays of
+//! each set test.
 #![allow(unsafe_code)]
 #![warn(missing_docs)]
 
@@ -47,14 +48,14 @@ struct Handle {
 /// Newline-separated names.
 #[unsafe(no_mangle)]
 pub extern "C" fn rt_variants() -> *const c_char {
-    c"single\npacket\nkdtree\nsingle-portable\nsingle-avx2\nsingle-avx512\npacket-portable\npacket-avx2\npacket-avx512\n"
+    c"single\npacket\nkdtree\nsingle-portable\nsingle-avx2\nsingle-avx512\npacket-portable\npacket-avx2\npacket-avx512\nsingle-counted\npacket-counted\nkdtree-counted\n"
         .as_ptr()
 }
 
 fn options(variant: &str) -> Option<(AccelOptions, bool)> {
     let (kind, level) = variant.split_once('-').unwrap_or((variant, "auto"));
     let simd = match level {
-        "auto" => SimdLevel::Auto,
+        "auto" | "counted" => SimdLevel::Auto,
         "portable" => SimdLevel::Portable,
         "avx2" => SimdLevel::Avx2,
         "avx512" => SimdLevel::Avx512,
@@ -66,7 +67,7 @@ fn options(variant: &str) -> Option<(AccelOptions, bool)> {
         "kdtree" => (BlasKind::KdTree, false),
         _ => return None,
     };
-    Some((AccelOptions { blas, simd }, single))
+    Some((AccelOptions { blas, simd, count: level == "counted" }, single))
 }
 
 /// Builds; null where the variant is unknown or not possible here. `seconds` counts the acceleration structure alone.
@@ -125,6 +126,16 @@ pub unsafe extern "C" fn rt_build(
     Box::into_raw(Box::new(Handle { accel, offsets, single, mesh: scene.meshes[0].clone() })).cast()
 }
 
+/// What the last call's rays have tested, each on average. Nothing where it was not counted.
+fn print_counts(accel: &Accel, rays: u64) {
+    let c = accel.counts();
+    if c.nodes != 0 {
+        let [nodes, boxes, blocks, triangles] =
+            [c.nodes, c.boxes, c.blocks, c.triangles].map(|n| n as f64 / rays as f64);
+        eprintln!("a ray: {nodes:.2} nodes, {boxes:.2} boxes, {blocks:.2} blocks, {triangles:.2} triangles");
+    }
+}
+
 const BATCH: usize = 1024;
 
 /// Closest hits.
@@ -141,6 +152,8 @@ pub unsafe extern "C" fn rt_trace(handle: *mut c_void, rays: *const RtRay, n: u6
             std::slice::from_raw_parts_mut(hits, n as usize),
         )
     };
+    // The sum of earlier calls is not of these rays.
+    handle.accel.counts();
     let give = |h: Hit| {
         let prim = if h.is_hit() { handle.offsets[h.instance_id as usize] + h.primitive_id } else { u32::MAX };
         RtHit { t: h.t, prim, u: h.u, v: h.v }
@@ -149,6 +162,7 @@ pub unsafe extern "C" fn rt_trace(handle: *mut c_void, rays: *const RtRay, n: u6
         for (ray, out) in rays.iter().zip(out) {
             *out = give(handle.accel.closest_hit(ray));
         }
+        print_counts(&handle.accel, n);
         return;
     }
     let mut batch = [Hit::MISS; BATCH];
@@ -159,6 +173,7 @@ pub unsafe extern "C" fn rt_trace(handle: *mut c_void, rays: *const RtRay, n: u6
             *out = give(*hit);
         }
     }
+    print_counts(&handle.accel, n);
 }
 
 /// Occlusion.
@@ -185,6 +200,7 @@ pub unsafe extern "C" fn rt_occluded(
         for (ray, out) in rays.iter().zip(out) {
             *out = u8::from(handle.accel.occluded(ray));
         }
+        print_counts(&handle.accel, n);
         return;
     }
     let mut batch = [false; BATCH];
@@ -195,6 +211,7 @@ pub unsafe extern "C" fn rt_occluded(
             *out = u8::from(*hit);
         }
     }
+    print_counts(&handle.accel, n);
 }
 
 /// Moves the vertices of a one-mesh structure; returns the seconds of the refit proper, below 0 where that is not possible.

@@ -94,7 +94,7 @@ impl Renderer {
                 missing: e.to_string(),
             })?;
         let threads = pool.current_num_threads();
-        let accel = Accel::new(AccelOptions { blas: options.blas, simd: level })?;
+        let accel = Accel::new(AccelOptions { blas: options.blas, simd: level, ..Default::default() })?;
         let state = FrameState {
             accel,
             normals: NormalMatrices::default(),

@@ -136,7 +136,8 @@ fn furnace_of_emitting_walls() {
 
 /// VPLs of a scene as the renderer makes them.
 fn vpls_of(scene: &RenderScene, options: VplOptions) -> Vec<Vpl> {
-    let mut accel = Accel::new(AccelOptions { blas: BlasKind::Bvh, simd: SimdLevel::Portable }).unwrap();
+    let mut accel =
+        Accel::new(AccelOptions { blas: BlasKind::Bvh, simd: SimdLevel::Portable, ..Default::default() }).unwrap();
     accel.update(scene);
     let mut normals = NormalMatrices::default();
     normals.update(scene);

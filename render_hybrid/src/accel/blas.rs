@@ -9,6 +9,7 @@ use glam::Vec3A;
 use obvhs::aabb::Aabb;
 use obvhs::bvh2::reinsertion::ReinsertionOptimizer;
 use obvhs::ploc::{PlocBuilder, PlocSearchDistance, SortPrecision};
+use rayon::prelude::*;
 
 /// Wide BVH over triangle blocks.
 pub(crate) struct Blas {
@@ -42,8 +43,10 @@ impl Blas {
             return Self::build_kd(mesh);
         }
         let bounds = Bounds::from(mesh.bounds_object());
-        let boxes: Vec<Aabb> =
-            (0..mesh.triangles().len() as u32).map(|i| Aabb::from_points(&mesh.corners(i).map(Vec3A::from))).collect();
+        let boxes: Vec<Aabb> = (0..mesh.triangles().len() as u32)
+            .into_par_iter()
+            .map(|i| Aabb::from_points(&mesh.corners(i).map(Vec3A::from)))
+            .collect();
         let tree = if boxes.len() > 8 && bounds.extent() < MAX_BUILDER_COORDINATE {
             let indices = (0..boxes.len() as u32).collect();
             let mut bvh2 = PlocBuilder::with_capacity(boxes.len()).build(
@@ -121,7 +124,7 @@ impl Blas {
         let root = refer(tree.root);
         let blocks = tree
             .leaves
-            .iter()
+            .par_iter()
             .map(|leaf| {
                 let mut block = Tri8::VACANT;
                 for (lane, &prim) in leaf.as_slice().iter().enumerate() {

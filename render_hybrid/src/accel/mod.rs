@@ -34,6 +34,39 @@ pub struct AccelOptions {
     pub blas: BlasKind,
     /// SIMD level of the kernels.
     pub simd: SimdLevel,
+    /// Tallies what traversals test, for [`Accel::counts`]: portable code, several times slower. The kernels of every other
+    /// choice know nothing of it.
+    pub count: bool,
+}
+
+/// What traversals have tested.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct TraversalCounts {
+    /// Nodes of the trees of instances and meshes; by a packet once, whatever the rays in it.
+    pub nodes: u64,
+    /// Boxes in them; a kd-tree's nodes have none.
+    pub boxes: u64,
+    /// Triangle blocks; by a packet once, whatever the rays in it.
+    pub blocks: u64,
+    /// Triangles in them.
+    pub triangles: u64,
+}
+
+impl TraversalCounts {
+    /// All zero.
+    pub const NONE: Self = Self { nodes: 0, boxes: 0, blocks: 0, triangles: 0 };
+}
+
+impl std::ops::Add for TraversalCounts {
+    type Output = Self;
+    fn add(self, o: Self) -> Self {
+        Self {
+            nodes: self.nodes + o.nodes,
+            boxes: self.boxes + o.boxes,
+            blocks: self.blocks + o.blocks,
+            triangles: self.triangles + o.triangles,
+        }
+    }
 }
 
 /// What an update did.
@@ -75,7 +108,8 @@ impl Accel {
     /// # Errors
     /// [`RenderError::Unavailable`] where `options.simd` names a level that this processor lacks.
     pub fn new(options: AccelOptions) -> Result<Self, RenderError> {
-        Ok(Self { world: world::World::new(options.blas), level: simd::Detected::new(options.simd)?, cutouts: None })
+        let level = if options.count { simd::Detected::counting() } else { simd::Detected::new(options.simd)? };
+        Ok(Self { world: world::World::new(options.blas), level, cutouts: None })
     }
 
     /// Follows the scene: one that passes [`RenderScene::validate`]. Builds run on the caller's rayon pool.
@@ -179,6 +213,11 @@ impl Accel {
     /// The level in use; never `Auto`.
     pub fn simd_level(&self) -> SimdLevel {
         self.level.level()
+    }
+
+    /// What all rays since the last call have tested; zero without [`AccelOptions::count`].
+    pub fn counts(&self) -> TraversalCounts {
+        std::mem::take(&mut *self.world.counts.lock().expect("no panic while adding"))
     }
 
     /// Sizes.

@@ -92,7 +92,7 @@ fn structures(scene: &RenderScene) -> Vec<(String, Accel)> {
     let mut all = Vec::new();
     for simd in LEVELS {
         for blas in KINDS {
-            match Accel::new(AccelOptions { blas, simd }) {
+            match Accel::new(AccelOptions { blas, simd, count: false }) {
                 Ok(mut accel) => {
                     accel.update(scene);
                     accel.validate().unwrap();

@@ -5,6 +5,7 @@
 
 use super::node::{Bounds, EMPTY, LEAF, MAX_DEPTH, Node8, WIDTH};
 use obvhs::bvh2::node::Bvh2Node;
+use std::sync::atomic::{AtomicU64, Ordering};
 
 /// What a leaf costs against one node visit.
 #[derive(Clone, Copy, Debug)]
@@ -45,63 +46,12 @@ pub(crate) fn collapse(nodes: &[Bvh2Node], primitives: &[u32], costs: CollapseCo
     let Some(first) = nodes.first() else { return Some(tree) };
     tree.bounds = first.aabb().into();
 
-    // Parents before children, whatever order the builder left.
-    let mut order = Vec::with_capacity(nodes.len());
-    let mut todo = vec![0u32];
-    while let Some(n) = todo.pop() {
-        order.push(n);
-        let node = &nodes[n as usize];
-        if !node.is_leaf() {
-            todo.extend([node.first_index, node.first_index + 1]);
-        }
-    }
-
-    // cost[n][i]: least cost of subtree n as at most i + 1 children of one wide node. pick[n][i]: children given to the left
-    // subtree, 0 = same as with one fewer. As a single child: leaf or wide node.
-    let mut cost = vec![[0.0f32; 7]; nodes.len()];
-    let mut pick = vec![[0u8; 8]; nodes.len()];
-    let mut count = vec![0u32; nodes.len()];
-    for &n in order.iter().rev() {
-        let n = n as usize;
-        let node = &nodes[n];
-        let area = node.aabb().half_area();
-        let leaf = |c: u32| {
-            if c <= costs.max_leaf { area * (costs.leaf + costs.primitive * c as f32) } else { f32::INFINITY }
-        };
-        let (l, r) = (node.first_index as usize, node.first_index as usize + 1);
-        count[n] = if node.is_leaf() { node.prim_count } else { count[l] + count[r] };
-        // Pairs stay together: half of all nodes are done with here.
-        if node.is_leaf() || count[n] <= costs.max_leaf.min(2) {
-            cost[n] = [leaf(count[n]); 7];
-            pick[n][7] = u8::MAX;
-            continue;
-        }
-        let (cl, cr) = (cost[l], cost[r]);
-        let split = |children: usize| {
-            let mut best = (f32::INFINITY, 1u8);
-            for k in 1..children {
-                let c = cl[k - 1] + cr[children - k - 1];
-                if c < best.0 {
-                    best = (c, k as u8);
-                }
-            }
-            best
-        };
-        let (inner, k) = split(WIDTH);
-        let (as_leaf, as_node) = (leaf(count[n]), area + inner);
-        let is_leaf = count[n] <= costs.max_leaf && as_leaf <= as_node;
-        // Slot 7 says what the subtree is as a single child: a leaf, or a node whose left subtree gets k children.
-        pick[n][7] = if is_leaf { u8::MAX } else { k };
-        cost[n][0] = if is_leaf { as_leaf } else { as_node };
-        for i in 1..7 {
-            let (c, k) = split(i + 1);
-            let same = cost[n][i - 1];
-            (cost[n][i], pick[n][i]) = if c < same { (c, k) } else { (same, 0) };
-        }
-    }
+    let choices: Vec<AtomicU64> = std::iter::repeat_with(AtomicU64::default).take(nodes.len()).collect();
+    choose(&Choosing { nodes, costs, choices: &choices }, 0, PARALLEL_DEPTH);
+    let pick = |n: u32| choices[n as usize].load(Ordering::Relaxed).to_le_bytes();
 
     let mut scratch = Vec::new();
-    if pick[0][7] == u8::MAX {
+    if pick(0)[7] == u8::MAX {
         tree.root = LEAF;
         tree.leaves.push(leaf_of(nodes, primitives, 0, &mut scratch));
         return Some(tree);
@@ -116,23 +66,23 @@ pub(crate) fn collapse(nodes: &[Bvh2Node], primitives: &[u32], costs: CollapseCo
         tree.depth = tree.depth.max(depth);
         children.clear();
         let node = &nodes[n2 as usize];
-        let k = pick[n2 as usize][7] as usize;
+        let k = pick(n2)[7] as usize;
         parts.extend([(node.first_index + 1, WIDTH - k), (node.first_index, k)]);
         while let Some((n, mut slots)) = parts.pop() {
-            while slots > 1 && pick[n as usize][slots - 1] == 0 {
+            while slots > 1 && pick(n)[slots - 1] == 0 {
                 slots -= 1;
             }
             let node = &nodes[n as usize];
             if slots == 1 || node.is_leaf() {
                 children.push(n);
             } else {
-                let k = pick[n as usize][slots - 1] as usize;
+                let k = pick(n)[slots - 1] as usize;
                 parts.extend([(node.first_index + 1, slots - k), (node.first_index, k)]);
             }
         }
         let pushed = todo.len();
         for (slot, &c) in children.iter().enumerate() {
-            let child = if pick[c as usize][7] == u8::MAX {
+            let child = if pick(c)[7] == u8::MAX {
                 tree.leaves.push(leaf_of(nodes, primitives, c, &mut scratch));
                 LEAF | (tree.leaves.len() as u32 - 1)
             } else {
@@ -148,6 +98,96 @@ pub(crate) fn collapse(nodes: &[Bvh2Node], primitives: &[u32], costs: CollapseCo
         todo[pushed..].reverse();
     }
     (tree.depth <= MAX_DEPTH).then_some(tree)
+}
+
+/// Levels of the binary tree whose two sides are chosen for in parallel.
+const PARALLEL_DEPTH: u32 = 7;
+
+struct Choosing<'a> {
+    nodes: &'a [Bvh2Node],
+    costs: CollapseCosts,
+    /// By binary node eight bytes. Byte i below 7: children given to the left side where the subtree is at most i + 1
+    /// children of one wide node, 0 = the same as with one fewer. Byte 7: what it is as a single child: `u8::MAX` a leaf,
+    /// else a wide node whose left side gets that many children.
+    choices: &'a [AtomicU64],
+}
+
+/// Of a subtree: its primitives, and the least cost as at most i + 1 children of one wide node.
+#[derive(Clone, Copy)]
+struct Subtree {
+    count: u32,
+    cost: [f32; 7],
+}
+
+/// Chooses for a subtree, its upper levels in parallel.
+fn choose(c: &Choosing, root: u32, parallel: u32) -> Subtree {
+    let node = &c.nodes[root as usize];
+    if node.is_leaf() || parallel == 0 {
+        return choose_in_turn(c, root);
+    }
+    let sides = [node.first_index, node.first_index + 1];
+    let (left, right) = rayon::join(|| choose(c, sides[0], parallel - 1), || choose(c, sides[1], parallel - 1));
+    choose_one(c, root, Some((left, right)))
+}
+
+/// Children before parents by a stack: a tree may be deep.
+fn choose_in_turn(c: &Choosing, root: u32) -> Subtree {
+    let mut done: Vec<Subtree> = Vec::with_capacity(64);
+    let mut todo = vec![(root, false)];
+    while let Some((n, sides_done)) = todo.pop() {
+        let node = &c.nodes[n as usize];
+        if node.is_leaf() {
+            done.push(choose_one(c, n, None));
+        } else if sides_done {
+            let right = done.pop().expect("the right side was pushed last");
+            let left = done.pop().expect("the left side was pushed before");
+            done.push(choose_one(c, n, Some((left, right))));
+        } else {
+            todo.extend([(n, true), (node.first_index + 1, false), (node.first_index, false)]);
+        }
+    }
+    done[0]
+}
+
+fn choose_one(c: &Choosing, n: u32, sides: Option<(Subtree, Subtree)>) -> Subtree {
+    let (node, costs) = (&c.nodes[n as usize], &c.costs);
+    let area = node.aabb().half_area();
+    let leaf = |count: u32| {
+        if count <= costs.max_leaf { area * (costs.leaf + costs.primitive * count as f32) } else { f32::INFINITY }
+    };
+    let mut pick = [0u8; 8];
+    let count = sides.map_or(node.prim_count, |(l, r)| l.count + r.count);
+    let (cl, cr) = match sides {
+        // Pairs stay together: half of all nodes are done with here.
+        Some((l, r)) if count > costs.max_leaf.min(2) => (l.cost, r.cost),
+        _ => {
+            pick[7] = u8::MAX;
+            c.choices[n as usize].store(u64::from_le_bytes(pick), Ordering::Relaxed);
+            return Subtree { count, cost: [leaf(count); 7] };
+        }
+    };
+    let split = |children: usize| {
+        let mut best = (f32::INFINITY, 1u8);
+        for k in 1..children {
+            let c = cl[k - 1] + cr[children - k - 1];
+            if c < best.0 {
+                best = (c, k as u8);
+            }
+        }
+        best
+    };
+    let (inner, k) = split(WIDTH);
+    let (as_leaf, as_node) = (leaf(count), area + inner);
+    let is_leaf = count <= costs.max_leaf && as_leaf <= as_node;
+    pick[7] = if is_leaf { u8::MAX } else { k };
+    let mut cost = [if is_leaf { as_leaf } else { as_node }; 7];
+    for i in 1..7 {
+        let (c, k) = split(i + 1);
+        let same = cost[i - 1];
+        (cost[i], pick[i]) = if c < same { (c, k) } else { (same, 0) };
+    }
+    c.choices[n as usize].store(u64::from_le_bytes(pick), Ordering::Relaxed);
+    Subtree { count, cost }
 }
 
 fn leaf_of(nodes: &[Bvh2Node], primitives: &[u32], root: u32, scratch: &mut Vec<u32>) -> LeafPrimitives {

@@ -27,6 +27,8 @@ pub(crate) struct World {
     /// The slot of the one instance that can be hit, where there is only one: the upper tree is left out.
     pub only: Option<u32>,
     pub follow: Follow,
+    /// Of the counting level.
+    pub counts: std::sync::Mutex<super::TraversalCounts>,
 }
 
 /// What is known of the scene that was seen last. Not read while tracing.
@@ -59,6 +61,7 @@ impl World {
             extent: 0.0,
             slack: 1.0,
             only: None,
+            counts: Default::default(),
             follow: Follow {
                 kind,
                 seen: None,

@@ -4,6 +4,7 @@
 //! restart by distance could pass a cell or find the same one again; the way is kept as one bit a level instead (Laine,
 //! "Restart Trail for Stackless BVH Traversal", HPG 2010): 1 where nothing more waits at that level.
 
+use super::count;
 use super::lanes::Level;
 use super::single::Visitor;
 use crate::accel::kdtree::{KD_LEAF, KdTree};
@@ -51,6 +52,7 @@ pub(super) unsafe fn walk<L: Level, V: Visitor<L>>(tree: &KdTree, ray: &RaySpace
         loop {
             // SAFETY: node numbers are in range by the tree's invariants.
             let node = unsafe { tree.nodes.get_unchecked(at.node as usize) };
+            count::kd_node::<L>();
             if node.kind == KD_LEAF {
                 for block in node.first..node.first + node.count {
                     // SAFETY: block numbers are in range by the tree's invariants; features by the caller.

@@ -38,6 +38,8 @@ pub(super) trait Lanes: Copy {
 pub(super) trait Level {
     type W8: Lanes;
     type W16: Lanes;
+    /// Traversals tally what they test: see `count`.
+    const COUNT: bool = false;
     /// Asks for a cache line that will be read soon.
     #[inline(always)]
     fn prefetch(_: *const u8) {}
@@ -157,4 +159,12 @@ pub(super) struct Portable;
 impl Level for Portable {
     type W8 = Array<8>;
     type W16 = Array<16>;
+}
+
+/// [`Portable`] with tallies; visits what every level visits.
+pub(super) struct Counted;
+impl Level for Counted {
+    type W8 = Array<8>;
+    type W16 = Array<16>;
+    const COUNT: bool = true;
 }

@@ -1,6 +1,7 @@
 //! The kernels: every level's code behind safe functions. This module alone holds unsafe code; the rest of `accel` is safe.
 #![allow(unsafe_code)]
 
+mod count;
 mod kd;
 mod lanes;
 mod packet;
@@ -11,11 +12,11 @@ mod x86;
 use super::world::World;
 use super::{Hit, Ray};
 use crate::{RenderError, SimdLevel};
-use lanes::Portable;
+use lanes::{Counted, Portable};
 
 /// A level that this processor has: only [`Detected::new`] makes one, so kernels may rely on it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Detected(SimdLevel);
+pub(crate) struct Detected(Option<SimdLevel>);
 
 impl Detected {
     /// Looks for the level; `Auto` takes the best there is.
@@ -25,16 +26,28 @@ impl Detected {
             Err(RenderError::Unavailable { choice: format!("--simd {choice}"), missing: missing.into() })
         };
         match wanted {
-            SimdLevel::Auto if avx512 => Ok(Self(SimdLevel::Avx512)),
-            SimdLevel::Auto if avx2 => Ok(Self(SimdLevel::Avx2)),
-            SimdLevel::Auto | SimdLevel::Portable => Ok(Self(SimdLevel::Portable)),
+            SimdLevel::Auto if avx512 => Ok(Self(Some(SimdLevel::Avx512))),
+            SimdLevel::Auto if avx2 => Ok(Self(Some(SimdLevel::Avx2))),
+            SimdLevel::Auto | SimdLevel::Portable => Ok(Self(Some(SimdLevel::Portable))),
             SimdLevel::Avx2 if !avx2 => missing("avx2", "this processor lacks AVX2 or FMA"),
             SimdLevel::Avx512 if !avx512 => missing("avx512", "this processor lacks AVX-512 F, VL or DQ"),
-            level => Ok(Self(level)),
+            level => Ok(Self(Some(level))),
         }
     }
+    /// Portable code that tallies.
+    pub fn counting() -> Self {
+        Self(None)
+    }
     pub fn level(self) -> SimdLevel {
-        self.0
+        self.0.unwrap_or(SimdLevel::Portable)
+    }
+    /// After rays: what they have tested goes to the world's sum.
+    #[inline(always)]
+    fn tally(self, world: &World) {
+        if self.0.is_none() {
+            let mut sum = world.counts.lock().expect("no panic while adding");
+            *sum = *sum + count::take();
+        }
     }
 }
 
@@ -152,6 +165,7 @@ macro_rules! level {
 }
 
 level!(portable, Portable,);
+level!(counted, Counted,);
 #[cfg(target_arch = "x86_64")]
 level!(avx2, x86::Avx2, "avx2,fma,bmi1,bmi2,lzcnt");
 #[cfg(target_arch = "x86_64")]
@@ -163,10 +177,11 @@ macro_rules! dispatch {
         unsafe {
             match $level.0 {
                 #[cfg(target_arch = "x86_64")]
-                SimdLevel::Avx2 => avx2::$f($($a),*),
+                Some(SimdLevel::Avx2) => avx2::$f($($a),*),
                 #[cfg(target_arch = "x86_64")]
-                SimdLevel::Avx512 => avx512::$f($($a),*),
-                _ => portable::$f($($a),*),
+                Some(SimdLevel::Avx512) => avx512::$f($($a),*),
+                Some(_) => portable::$f($($a),*),
+                None => counted::$f($($a),*),
             }
         }
     };
@@ -175,13 +190,17 @@ macro_rules! dispatch {
 /// Closest hit of any ray.
 #[inline]
 pub(crate) fn closest(level: Detected, world: &World, ray: &Ray) -> Hit {
-    closest_with(ray, |ray| dispatch!(level, closest(world, ray)))
+    let hit = closest_with(ray, |ray| dispatch!(level, closest(world, ray)));
+    level.tally(world);
+    hit
 }
 
 /// Any hit of any ray.
 #[inline]
 pub(crate) fn any(level: Detected, world: &World, ray: &Ray) -> bool {
-    any_with(ray, |ray| dispatch!(level, any(world, ray)))
+    let hit = any_with(ray, |ray| dispatch!(level, any(world, ray)));
+    level.tally(world);
+    hit
 }
 
 /// Closest hits of many rays; neighbours in the slice are taken together where that pays.
@@ -198,6 +217,7 @@ pub(crate) fn closest_many(level: Detected, world: &World, rays: &[Ray], hits: &
     for (ray, hit) in rest.iter().zip(rest_hits) {
         *hit = closest(level, world, ray);
     }
+    level.tally(world);
 }
 
 /// Any hits of many rays.
@@ -214,4 +234,5 @@ pub(crate) fn any_many(level: Detected, world: &World, rays: &[Ray], occluded: &
     for (ray, hit) in rest.iter().zip(rest_hits) {
         *hit = any(level, world, ray);
     }
+    level.tally(world);
 }

@@ -10,6 +10,7 @@
 //! 2006; of the transposed leaf test and the fall-back: Benthin et al., "Combining Single and Packet Ray Tracing for
 //! Arbitrary Ray Distributions on the Intel MIC Architecture", TVCG 2012.
 
+use super::count;
 use super::lanes::{Lanes, Level};
 use super::single::{self, BlasAny, BlasClosest, Sheared, hard_lane, intersect8, nearer};
 use crate::accel::node::{BLOCK, EMPTY, LEAF, LEN_SHIFT, Node8, STACK, Tri8};
@@ -302,6 +303,7 @@ unsafe fn walk<L: Level, V: PacketVisitor<L>>(
                 continue;
             }
             let node = &*nodes.add(child as usize);
+            count::node::<L>(node);
             let planes = node.planes.as_ptr().cast::<f32>();
             let near = |i: usize, a: usize| {
                 let p = L::W8::load(planes.add(8 * i));
@@ -358,6 +360,7 @@ impl<L: Level, const CLOSEST: bool> PacketVisitor<L> for Inside<'_, CLOSEST> {
         unsafe {
             let block = self.blocks.get_unchecked((leaf & BLOCK) as usize);
             let len = leaf >> LEN_SHIFT;
+            count::block::<L>(len + 1);
             if mask.count_ones() <= len + 1 {
                 self.each_ray::<L>(rays, block, mask);
             } else {

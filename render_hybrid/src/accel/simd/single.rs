@@ -1,5 +1,6 @@
 //! One ray through the two levels.
 
+use super::count;
 use super::lanes::{Lanes, Level};
 use crate::accel::blas::Blas;
 use crate::accel::node::{BLOCK, EMPTY, LEAF, Node8, STACK, Tri8};
@@ -64,6 +65,7 @@ pub(super) unsafe fn walk<L: Level, V: Visitor<L>>(
                     break 'descend;
                 }
                 let node = &*nodes.add(current as usize);
+                count::node::<L>(node);
                 let planes = node.planes.as_ptr().cast::<f32>();
                 let plane = |i: usize| L::W8::load(planes.add(8 * i));
                 let enter = plane(nx).slab(inv[0], near[0]);
@@ -308,6 +310,9 @@ impl<L: Level> Visitor<L> for BlasClosest<'_> {
         // SAFETY: leaf references are block numbers by the tree's invariants; features by the caller.
         unsafe {
             let block = self.blocks.get_unchecked((leaf & BLOCK) as usize);
+            if L::COUNT {
+                count::block::<L>(block.len() as u32);
+            }
             let mut tuv = [[0.0f32; 8]; 3];
             let mut mask = intersect8::<L>(block, &self.ray, self.t_min, self.best.t, &mut tuv);
             while mask != 0 {
@@ -359,6 +364,9 @@ impl<L: Level> Visitor<L> for BlasAny<'_> {
         // SAFETY: as for the closest hit.
         unsafe {
             let block = self.blocks.get_unchecked((leaf & BLOCK) as usize);
+            if L::COUNT {
+                count::block::<L>(block.len() as u32);
+            }
             let mut tuv = [[0.0f32; 8]; 3];
             let mut mask = intersect8::<L>(block, &self.ray, self.t_min, self.t_max, &mut tuv);
             while mask != 0 {
