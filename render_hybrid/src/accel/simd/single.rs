@@ -96,6 +96,18 @@ pub(super) unsafe fn walk<L: Level, V: Visitor<L>>(
                     current = child(first);
                     continue 'node;
                 }
+                if !V::ORDERED {
+                    // Whatever comes first: none will be culled later either, for the limit stays.
+                    current = child(first);
+                    while mask != 0 {
+                        let c = child(mask.trailing_zeros() as usize);
+                        mask &= mask - 1;
+                        soon(v, c);
+                        *stack.add(top) = Waiting { child: c, t: 0.0 };
+                        top += 1;
+                    }
+                    continue 'node;
+                }
                 let mut t = [0.0f32; 8];
                 enter.store(t.as_mut_ptr());
                 let t = t.as_ptr();
@@ -124,11 +136,9 @@ pub(super) unsafe fn walk<L: Level, V: Visitor<L>>(
                     mask &= mask - 1;
                     soon(v, c.child);
                     let mut i = top;
-                    if V::ORDERED {
-                        while i > base && (*stack.add(i - 1)).t < c.t {
-                            *stack.add(i) = *stack.add(i - 1);
-                            i -= 1;
-                        }
+                    while i > base && (*stack.add(i - 1)).t < c.t {
+                        *stack.add(i) = *stack.add(i - 1);
+                        i -= 1;
                     }
                     *stack.add(i) = c;
                     top += 1;
@@ -143,7 +153,7 @@ pub(super) unsafe fn walk<L: Level, V: Visitor<L>>(
                 }
                 top -= 1;
                 let next = *stack.add(top);
-                if next.t <= v.limit() {
+                if !V::ORDERED || next.t <= v.limit() {
                     current = next.child;
                     break;
                 }
@@ -199,18 +209,24 @@ unsafe fn corner8<W: Lanes>(base: *const f32, vertex: usize, k: [usize; 3], o: [
     }
 }
 
-/// (t, u, v) of a block's triangles, and the lanes with t_min < t <= t_max; other lanes are meaningless.
+/// What a ray's line and a block's triangles have in common.
+struct Line8<W> {
+    t: W,
+    v: W,
+    w: W,
+    reciprocal: W,
+    /// Lanes that the line meets.
+    met: u32,
+    /// Lanes that double precision must decide.
+    hard: u32,
+}
+
+/// `None`: the line meets nothing.
 ///
 /// # Safety
 /// The level's features.
 #[inline(always)]
-pub(super) unsafe fn intersect8<L: Level>(
-    block: &Tri8,
-    ray: &Sheared,
-    t_min: f32,
-    t_max: f32,
-    out: &mut [[f32; 8]; 3],
-) -> u32 {
+unsafe fn line8<L: Level>(block: &Tri8, ray: &Sheared) -> Option<Line8<L::W8>> {
     // SAFETY: lanes are eight f32 each; axes are 0..3; features by the caller.
     unsafe {
         let [ox, oy, oz] = ray.origin_k;
@@ -227,13 +243,13 @@ pub(super) unsafe fn intersect8<L: Level>(
         let zero = L::W8::splat(0.0);
         let least = u.min(v).min(w);
         let most = u.max(v).max(w);
-        let mut mask = zero.le(least) | most.le(zero);
-        if mask == 0 {
-            return 0;
+        let inside = zero.le(least) | most.le(zero);
+        if inside == 0 {
+            return None;
         }
         let det = u.add(v).add(w);
-        let r = L::W8::splat(1.0).div(det);
-        let t = u.mul(az).add(v.mul(bz)).add(w.mul(cz)).mul(r).mul(L::W8::splat(sz));
+        let reciprocal = L::W8::splat(1.0).div(det);
+        let t = u.mul(az).add(v.mul(bz)).add(w.mul(cz)).mul(reciprocal).mul(L::W8::splat(sz));
         let size = det.abs();
         let m = ax.abs().max(ay.abs()).max(bx.abs()).max(by.abs()).max(cx.abs()).max(cy.abs());
         let well = m.mul(m).mul(m).mul(L::W8::splat(CONDITION)).le(size.mul(L::W8::splat(ray.reach)));
@@ -241,14 +257,33 @@ pub(super) unsafe fn intersect8<L: Level>(
             & L::W8::splat(DET_MIN).le(size)
             & size.le(L::W8::splat(DET_MAX))
             & !(u.eq(zero) | v.eq(zero) | w.eq(zero));
-        let mut hard = mask & !sound;
-        mask &= sound & L::W8::splat(t_min).lt(t) & t.le(L::W8::splat(t_max));
+        Some(Line8 { t, v, w, reciprocal, met: inside & sound, hard: inside & !sound })
+    }
+}
+
+/// (t, u, v) of a block's triangles, and the lanes with t_min < t <= t_max; other lanes are meaningless.
+///
+/// # Safety
+/// The level's features.
+#[inline(always)]
+pub(super) unsafe fn intersect8<L: Level>(
+    block: &Tri8,
+    ray: &Sheared,
+    t_min: f32,
+    t_max: f32,
+    out: &mut [[f32; 8]; 3],
+) -> u32 {
+    // SAFETY: features by the caller.
+    unsafe {
+        let Some(line) = line8::<L>(block, ray) else { return 0 };
+        let (t, mut hard) = (line.t, line.hard);
+        let mut mask = line.met & L::W8::splat(t_min).lt(t) & t.le(L::W8::splat(t_max));
         if mask | hard == 0 {
             return 0;
         }
         t.store(out[0].as_mut_ptr());
-        v.mul(r).store(out[1].as_mut_ptr());
-        w.mul(r).store(out[2].as_mut_ptr());
+        line.v.mul(line.reciprocal).store(out[1].as_mut_ptr());
+        line.w.mul(line.reciprocal).store(out[2].as_mut_ptr());
         while hard != 0 {
             let lane = hard.trailing_zeros() as usize;
             hard &= hard - 1;
@@ -261,6 +296,30 @@ pub(super) unsafe fn intersect8<L: Level>(
             }
         }
         mask
+    }
+}
+
+/// True where any of a block's triangles is met at t_min < t < t_max.
+///
+/// # Safety
+/// The level's features.
+#[inline(always)]
+unsafe fn occludes8<L: Level>(block: &Tri8, ray: &Sheared, t_min: f32, t_max: f32) -> bool {
+    // SAFETY: features by the caller.
+    unsafe {
+        let Some(line) = line8::<L>(block, ray) else { return false };
+        if line.met & L::W8::splat(t_min).lt(line.t) & line.t.lt(L::W8::splat(t_max)) != 0 {
+            return true;
+        }
+        let mut hard = line.hard;
+        while hard != 0 {
+            let lane = hard.trailing_zeros() as usize;
+            hard &= hard - 1;
+            if hard_lane(block, lane, ray).is_some_and(|(t, ..)| t_min < t && t < t_max) {
+                return true;
+            }
+        }
+        false
     }
 }
 
@@ -367,15 +426,7 @@ impl<L: Level> Visitor<L> for BlasAny<'_> {
             if L::COUNT {
                 count::block::<L>(block.len() as u32);
             }
-            let mut tuv = [[0.0f32; 8]; 3];
-            let mut mask = intersect8::<L>(block, &self.ray, self.t_min, self.t_max, &mut tuv);
-            while mask != 0 {
-                if tuv[0][mask.trailing_zeros() as usize] < self.t_max {
-                    return true;
-                }
-                mask &= mask - 1;
-            }
-            false
+            occludes8::<L>(block, &self.ray, self.t_min, self.t_max)
         }
     }
 }
