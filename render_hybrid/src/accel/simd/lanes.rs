@@ -38,6 +38,8 @@ pub(super) trait Lanes: Copy {
 pub(super) trait Level {
     type W8: Lanes;
     type W16: Lanes;
+    /// Rays of a packet: the lanes of `W16`.
+    const RAYS: usize = 16;
     /// Traversals tally what they test: see `count`.
     const COUNT: bool = false;
     /// Asks for a cache line that will be read soon.
@@ -167,4 +169,17 @@ impl Level for Counted {
     type W8 = Array<8>;
     type W16 = Array<16>;
     const COUNT: bool = true;
+}
+
+/// A level whose packets have eight rays.
+pub(super) struct Half<L>(std::marker::PhantomData<L>);
+impl<L: Level> Level for Half<L> {
+    type W8 = L::W8;
+    type W16 = L::W8;
+    const RAYS: usize = 8;
+    const COUNT: bool = L::COUNT;
+    #[inline(always)]
+    fn prefetch(p: *const u8) {
+        L::prefetch(p);
+    }
 }

@@ -1,4 +1,4 @@
-//! Sixteen rays together.
+//! Sixteen or eight rays together.
 //!
 //! Inner nodes are tested once for the whole packet: intervals of origins and reciprocal directions against eight children.
 //! Leaves, and all children where the packet is wide, are then tested ray by ray, sixteen lanes a child. At a leaf the
@@ -20,6 +20,7 @@ use crate::accel::world::World;
 use crate::accel::{Hit, Ray};
 use std::mem::MaybeUninit;
 
+/// Rays of the largest packet.
 pub(super) const RAYS: usize = 16;
 /// At most so many rays in a subtree: each goes alone.
 const FEW: u32 = 2;
@@ -126,7 +127,7 @@ impl Space {
     ) -> Option<Self> {
         // SAFETY: features by the caller.
         unsafe {
-            let all = (1u32 << RAYS) - 1;
+            let all = (1u32 << L::RAYS) - 1;
             let zero = L::W16::splat(0.0);
             let size = [direction[0].abs(), direction[1].abs(), direction[2].abs()];
             let x = size[1].le(size[0]) & size[2].le(size[0]);
@@ -634,12 +635,12 @@ unsafe fn instance<L: Level, const CLOSEST: bool>(world: &World, slot: u32, rays
     }
 }
 
-/// Sixteen rays, all usable and of moderate direction. `None`: they are too different to go together.
+/// The level's number of rays, all usable and of moderate direction. `None`: they are too different to go together.
 ///
 /// # Safety
 /// The level's features.
 #[inline(always)]
-unsafe fn together<L: Level, const CLOSEST: bool>(world: &World, input: &[Ray; RAYS]) -> Option<Rays> {
+unsafe fn together<L: Level, const CLOSEST: bool>(world: &World, input: &[Ray]) -> Option<Rays> {
     // SAFETY: the world keeps the trees' invariants; features by the caller.
     unsafe {
         let mut rays = Rays {
@@ -654,7 +655,7 @@ unsafe fn together<L: Level, const CLOSEST: bool>(world: &World, input: &[Ray; R
             instance: [Hit::NONE; RAYS],
             limit: 0.0,
         };
-        for (i, r) in input.iter().enumerate() {
+        for (i, r) in input.iter().enumerate().take(L::RAYS) {
             rays.origin[0].0[i] = r.origin.x;
             rays.origin[1].0[i] = r.origin.y;
             rays.origin[2].0[i] = r.origin.z;
@@ -672,7 +673,7 @@ unsafe fn together<L: Level, const CLOSEST: bool>(world: &World, input: &[Ray; R
         let finite = o[0].mul(zero).add(o[1].mul(zero)).add(o[2].mul(zero).add(d[0].mul(zero)));
         let finite = finite.add(d[1].mul(zero).add(d[2].mul(zero))).eq(zero);
         let size = d[0].abs().max(d[1].abs()).max(d[2].abs());
-        let all = (1u32 << RAYS) - 1;
+        let all = (1u32 << L::RAYS) - 1;
         let moderate = L::W16::splat(super::MODERATE_MIN).le(size) & size.le(L::W16::splat(super::MODERATE_MAX));
         let ranged = rays.t_min.load::<L::W16>().lt(rays.t_max.load());
         if finite & moderate & ranged != all {
@@ -691,12 +692,12 @@ unsafe fn together<L: Level, const CLOSEST: bool>(world: &World, input: &[Ray; R
     }
 }
 
-/// Closest hits of sixteen rays; false where they cannot go together.
+/// Closest hits of the level's packet; false where they cannot go together.
 ///
 /// # Safety
 /// The level's features.
 #[inline(always)]
-pub(super) unsafe fn closest<L: Level>(world: &World, input: &[Ray; RAYS], hits: &mut [Hit; RAYS]) -> bool {
+pub(super) unsafe fn closest<L: Level>(world: &World, input: &[Ray], hits: &mut [Hit]) -> bool {
     // SAFETY: by the caller.
     let Some(rays) = (unsafe { together::<L, true>(world, input) }) else { return false };
     for (i, hit) in hits.iter_mut().enumerate() {
@@ -705,12 +706,12 @@ pub(super) unsafe fn closest<L: Level>(world: &World, input: &[Ray; RAYS], hits:
     true
 }
 
-/// Any hits of sixteen rays; false where they cannot go together.
+/// Any hits of the level's packet; false where they cannot go together.
 ///
 /// # Safety
 /// The level's features.
 #[inline(always)]
-pub(super) unsafe fn any<L: Level>(world: &World, input: &[Ray; RAYS], hits: &mut [bool; RAYS]) -> bool {
+pub(super) unsafe fn any<L: Level>(world: &World, input: &[Ray], hits: &mut [bool]) -> bool {
     // SAFETY: by the caller.
     let Some(rays) = (unsafe { together::<L, false>(world, input) }) else { return false };
     for (i, hit) in hits.iter_mut().enumerate() {
