@@ -59,5 +59,5 @@ pub use import::{load_gltf, load_gltf_bytes};
 pub use limits::ImportLimits;
 pub use materials::{MAX_SHININESS, roughness_from_shininess, shininess_from_roughness};
 pub use report::ImportReport;
-pub use scene::{ImportedAnimation, ImportedDeformation, ImportedNode, ImportedPrimitive, ImportedScene};
+pub use scene::{ImportedAnimation, ImportedDeformation, ImportedNode, ImportedPrimitive, ImportedScene, NodeClip};
 pub use spawn::Spawned;

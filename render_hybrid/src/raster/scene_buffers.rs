@@ -319,7 +319,9 @@ impl SceneBuffers {
                 missing.push(texture.clone());
             }
         }
-        let bytes = |textures: &[Arc<Texture>]| textures.iter().map(|t| t.texels().len() as u64 * 4).sum::<u64>();
+        let bytes = |textures: &[Arc<Texture>]| {
+            textures.iter().map(|t| (t.texels().len() + t.mips().len()) as u64 * 4).sum::<u64>()
+        };
         let mut replaced = false;
         if !self.texels.fits(bytes(&missing)) {
             missing = unique(&scene.textures);
@@ -332,6 +334,7 @@ impl SceneBuffers {
         for texture in missing {
             let first = (self.texels.used / 4) as u32;
             self.texels.push(gpu, bytemuck::cast_slice(texture.texels()));
+            self.texels.push(gpu, bytemuck::cast_slice(texture.mips()));
             self.textures.push((texture, first));
         }
         Ok(replaced)
