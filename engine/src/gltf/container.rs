@@ -84,7 +84,7 @@ pub(super) fn parse(json: &[u8], limits: &ImportLimits) -> Result<Document, Gltf
     within("JSON tokens", count_tokens(json), limits.json_tokens)?;
     // GLB pads with spaces, some writers with zero bytes.
     let end = json.iter().rposition(|b| *b != 0).map_or(0, |i| i + 1);
-    let document: Document = serde_json::from_slice(&json[..end])?;
+    let document: Document = serde_json::from_slice(&json[..end]).map_err(|e| GltfError::Json(e.to_string()))?;
     let version = document.asset.min_version.as_ref().unwrap_or(&document.asset.version);
     let newer = document.asset.min_version.as_ref().is_some_and(|v| v.as_str() != "2.0");
     if newer || !version.starts_with("2.") {
