@@ -72,6 +72,10 @@ impl TextureRef {
 /// Perceptual roughness up to which a surface of metal and roughness counts as polished.
 pub const POLISHED: f32 = 0.01;
 
+/// Perceptual roughness from which a surface of metal and roughness has no mirror share: about where [`MAX_SHININESS`] ends.
+/// Between [`POLISHED`] and here the mirror fades and the highlight comes, so that fine grain in a texture is no noise.
+pub const NOT_POLISHED: f32 = 0.105;
+
 /// Largest Blinn-Phong exponent made from a roughness (r = 0.105): beyond it highlights are smaller than pixels.
 pub const MAX_SHININESS: f32 = 16384.0;
 
@@ -160,13 +164,17 @@ impl Physical {
         let mut out = if roughness <= POLISHED {
             Look { diffuse: 1.0, specular: Vec3::ZERO, shininess: 32.0, mirror: metallic, transmission }
         } else {
-            let t = transmission * (1.0 - metallic);
-            // Look::matte_weight takes 1 - (1-m) t off; what must remain is (1-m)(1-t).
-            let matte = 1.0 - t;
+            let polish = ((NOT_POLISHED - roughness) / (NOT_POLISHED - POLISHED)).max(0.0);
+            let mirror = metallic * polish;
+            // Look::matte_weight takes mirror and glass off; what must remain is (1-m)(1-t), and glass must be (1-m) t.
+            let rest = 1.0 - mirror;
+            let transmission_of_rest = if rest > 0.0 { (transmission * (1.0 - metallic) / rest).min(1.0) } else { 0.0 };
+            let matte = rest * (1.0 - transmission_of_rest);
             let diffuse =
                 if matte > 0.0 { ((1.0 - metallic) * (1.0 - transmission) / matte).clamp(0.0, 1.0) } else { 0.0 };
-            let specular = (self.reflectance * (1.0 - roughness)).lerp(base_color, metallic);
-            Look { diffuse, specular, shininess: shininess_from_roughness(roughness), mirror: 0.0, transmission: t }
+            let specular = (self.reflectance * (1.0 - roughness)).lerp(base_color, metallic) * (1.0 - polish);
+            let shininess = shininess_from_roughness(roughness);
+            Look { diffuse, specular, shininess, mirror, transmission: transmission_of_rest }
         };
         if coverage < 1.0 {
             // (1 - mirror)(transmission) must be 1 - coverage once the mirror's share is scaled too.

@@ -5,7 +5,7 @@ use catoptra_engine::{
     ImportLimits, LightKind, Material, Mesh, MeshData, Mip, Physical, PhysicalPlace, Texture, TextureRef,
     glam::{Affine3, Mat3, Vec2, Vec3, Vec4},
     load_gltf_bytes,
-    material::{POLISHED, shininess_from_roughness},
+    material::{NOT_POLISHED, POLISHED, shininess_from_roughness},
 };
 use catoptra_render_hybrid::{
     Image, Layer, RasterLane, RenderSettings, Renderer, Shadows, metrics, raster::testing::ShaderProbe,
@@ -99,6 +99,32 @@ fn metal_and_roughness_follow_their_texture() {
         let expected = [color + Vec3::splat(0.04 * (1.0 - r) * lobe), color * lobe];
         for (got, expected) in halves(&frame.image).into_iter().zip(expected) {
             assert!((got - expected).length() < 0.01 * expected.length(), "{lane:?}: {got} for {expected}");
+        }
+    }
+}
+
+#[test]
+fn looks_change_without_a_jump() {
+    // What leaves a place in all directions stays the same as the mirror fades; only neighbours of equal roughness differ.
+    let p = Physical { reflectance: Vec3::splat(0.04), ..physical() };
+    let look = |metallic: f32, roughness: f32, transmission: f32| {
+        p.look(Vec3::new(0.9, 0.5, 0.1), PhysicalPlace { metallic, roughness, transmission, coverage: 1.0 })
+    };
+    for metallic in [0.0, 0.25, 0.9, 1.0] {
+        for transmission in [0.0, 0.5, 1.0] {
+            let mut last = look(metallic, 0.0, transmission);
+            assert_eq!((last.mirror, last.specular), (metallic, Vec3::ZERO));
+            for step in 1..=1000 {
+                let l = look(metallic, step as f32 * 2e-4, transmission);
+                let matte = |l: &catoptra_engine::Look| l.matte_weight() * l.diffuse;
+                let glass = |l: &catoptra_engine::Look| (1.0 - l.mirror) * l.transmission;
+                assert!((matte(&l) - (1.0 - metallic) * (1.0 - transmission)).abs() < 1e-5, "{l:?}");
+                assert!((glass(&l) - (1.0 - metallic) * transmission).abs() < 1e-5, "{l:?}");
+                assert!((l.mirror - last.mirror).abs() < 3e-3, "{last:?} then {l:?}");
+                assert!((l.specular - last.specular).abs().max_element() < 3e-3, "{last:?} then {l:?}");
+                last = l;
+            }
+            assert_eq!(last.mirror, 0.0);
         }
     }
 }
@@ -349,7 +375,7 @@ fn looks_agree_with_the_shader() {
         .map(|i| std::array::from_fn(|k| noise(6 * i + k as u32)))
         .map(|r: [f32; 6]| [r[0], r[1].max(0.1), r[2], r[3], r[4], r[5]])
         .collect();
-    for roughness in [0.0, POLISHED, POLISHED + 1e-6, 3.0 / 255.0, 1.0] {
+    for roughness in [0.0, POLISHED, POLISHED + 1e-6, 3.0 / 255.0, 0.05, NOT_POLISHED, 0.2, 1.0] {
         for edge in 0..16u32 {
             let bit = |k: u32| (edge >> k & 1) as f32;
             rows.push([bit(0), roughness, bit(1), 1.0 - 0.5 * bit(2), 0.3 + 0.5 * bit(3), 0.04]);

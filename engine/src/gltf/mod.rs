@@ -16,6 +16,7 @@
 //! With metallic m, roughness r, base colour c and F0 = ((ior − 1)/(ior + 1))² · specularFactor · specularColorFactor:
 //!
 //! * r ≤ 0.01 counts as polished: mirror share m tinted by c, the rest (1 − m) Lambert, no highlight;
+//! * from there to r = 0.105 the mirror fades: its share is m p with p = (0.105 − r)/0.095, and k_s below is times 1 − p;
 //! * else diffuse k_d = 1 − m, k_s = lerp(F0 (1 − r), c, m), and the exponent whose Blinn-Phong lobe is as wide as the
 //!   microfacet one, [`shininess_from_roughness`]. A dielectric of roughness 1 is so pure Lambert, and a metal of roughness
 //!   1 (glTF's default) looks nearly so, with albedo c;

@@ -90,6 +90,7 @@ pub fn generated_constants() -> String {
     f("PI", std::f32::consts::PI);
     f("MIN_POSITIVE", f32::MIN_POSITIVE);
     f("POLISHED", catoptra_engine::material::POLISHED);
+    f("NOT_POLISHED", catoptra_engine::material::NOT_POLISHED);
     f("MAX_SHININESS", catoptra_engine::material::MAX_SHININESS);
     // Stands for infinity, which shaders must not hold.
     f("FAR_AWAY", f32::MAX);

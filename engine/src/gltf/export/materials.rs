@@ -3,9 +3,7 @@
 use super::writer::Writer;
 use crate::{
     gltf::{error::GltfError, materials::f0},
-    material::{
-        Material, Mip, POLISHED, Physical, TextureRef, Wrap, roughness_from_shininess, shininess_from_roughness,
-    },
+    material::{Material, Mip, NOT_POLISHED, Physical, PhysicalPlace, TextureRef, Wrap, roughness_from_shininess},
     render_scene::RenderScene,
 };
 use glam::Vec3;
@@ -227,20 +225,24 @@ fn metallic_roughness(m: &Material) -> (f32, f32) {
         return (0.0, 1.0);
     }
     let roughness = roughness_from_shininess(m.shininess);
-    ((1.0 - m.diffuse).clamp(0.0, 1.0), roughness.clamp(2.0 * POLISHED, 1.0))
+    ((1.0 - m.diffuse).clamp(0.0, 1.0), roughness.clamp(NOT_POLISHED, 1.0))
 }
 
 /// The material that an import makes of base colour, ior, transmission, metalness and roughness alone.
 fn implied(m: &Material, metallic: f32, roughness: f32) -> Material {
     let mut out = Material { base_color: m.base_color.clamp(Vec3::ZERO, Vec3::ONE), ..Material::default() };
     out.attenuation_color = m.attenuation_color.clamp(Vec3::ZERO, Vec3::ONE);
-    if roughness <= POLISHED {
-        out.mirror = metallic;
-    } else {
-        out.shininess = shininess_from_roughness(roughness);
-        out.diffuse = 1.0 - metallic;
-        out.specular = Vec3::splat(f0(m.ior) * (1.0 - roughness)).lerp(out.base_color, metallic);
-    }
+    let physical = Physical {
+        metallic,
+        roughness,
+        metallic_roughness_texture: None,
+        reflectance: Vec3::splat(f0(m.ior)),
+        transmission: 0.0,
+        transmission_texture: None,
+        blended: false,
+    };
+    let look = physical.look(out.base_color, PhysicalPlace { metallic, roughness, transmission: 0.0, coverage: 1.0 });
+    (out.diffuse, out.specular, out.shininess, out.mirror) = (look.diffuse, look.specular, look.shininess, look.mirror);
     out
 }
 

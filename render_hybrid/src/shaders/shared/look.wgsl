@@ -29,15 +29,21 @@ fn physical_look(reflectance: vec3f, base_color: vec3f, at: PhysicalPlace) -> Lo
     if at.roughness <= POLISHED {
         out = Look(vec3f(0.0), 32.0, 1.0, at.metallic, at.transmission);
     } else {
-        let t = at.transmission * (1.0 - at.metallic);
-        let matte = 1.0 - t;
+        let polish = max((NOT_POLISHED - at.roughness) / (NOT_POLISHED - POLISHED), 0.0);
+        let mirror = at.metallic * polish;
+        let rest = 1.0 - mirror;
+        var t = 0.0;
+        if rest > 0.0 {
+            t = min(at.transmission * (1.0 - at.metallic) / rest, 1.0);
+        }
+        let matte = rest * (1.0 - t);
         var diffuse = 0.0;
         if matte > 0.0 {
             diffuse = clamp((1.0 - at.metallic) * (1.0 - at.transmission) / matte, 0.0, 1.0);
         }
         let dielectric = reflectance * (1.0 - at.roughness);
-        let specular = dielectric + (base_color - dielectric) * at.metallic;
-        out = Look(specular, shininess_from_roughness(at.roughness), diffuse, 0.0, t);
+        let specular = (dielectric + (base_color - dielectric) * at.metallic) * (1.0 - polish);
+        out = Look(specular, shininess_from_roughness(at.roughness), diffuse, mirror, t);
     }
     if at.coverage < 1.0 {
         out.specular *= at.coverage;
