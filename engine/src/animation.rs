@@ -240,6 +240,9 @@ impl Deformation {
                 let (a, b, c) = (m.y_axis.cross(m.z_axis), m.z_axis.cross(m.x_axis), m.x_axis.cross(m.y_axis));
                 *n = a * n.x + b * n.y + c * n.z;
             }
+            if let Some(t) = data.tangents.get_mut(i) {
+                *t = (sum.matrix3 * t.truncate()).extend(t.w);
+            }
         }
         data.normals.iter_mut().zip(&self.data.normals).for_each(|(n, bind)| *n = n.normalize_or(*bind));
         Mesh::new(data).ok()

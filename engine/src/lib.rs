@@ -32,7 +32,7 @@ pub use extract::{Extracted, ExtractedCamera, ExtractedCameras};
 pub use fit::{fit_camera, headlight};
 pub use gltf::{GltfError, ImportLimits, ImportReport, ImportedScene, export_glb, load_gltf, load_gltf_bytes};
 pub use light::{Light, LightKind};
-pub use material::{Material, TextureRef, Wrap};
+pub use material::{Look, Material, Mip, Physical, PhysicalPlace, TextureRef, Wrap};
 pub use mesh::{Aabb, Mesh, MeshData, MeshError};
 pub use render_scene::{Environment, Instance, RenderScene, SceneError};
 pub use texture::{Texture, TextureError};

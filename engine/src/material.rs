@@ -15,6 +15,19 @@ pub enum Wrap {
     Mirror = 2,
 }
 
+/// What is read where texels are smaller than pixels.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[repr(u32)]
+pub enum Mip {
+    /// The image itself: sharp, and it flickers as it moves.
+    None = 0,
+    /// The one smaller copy whose texels are nearest to the pixel's size.
+    Nearest = 1,
+    /// Both copies around that size, blended.
+    #[default]
+    Linear = 2,
+}
+
 /// A texture as a material uses it.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct TextureRef {
@@ -22,8 +35,12 @@ pub struct TextureRef {
     pub texture: u32,
     /// Wrap rule along u and v.
     pub wrap: [Wrap; 2],
-    /// Nearest texel instead of bilinear.
+    /// Nearest texel instead of bilinear, where texels are larger than pixels.
     pub nearest: bool,
+    /// Nearest texel instead of bilinear, where texels are smaller than pixels.
+    pub nearest_min: bool,
+    /// Smaller copies of the image, where texels are smaller than pixels.
+    pub mip: Mip,
     /// Which texture coordinate set of the mesh: 0 or 1.
     pub uv_set: u32,
     /// `KHR_texture_transform`: uv' = offset + rotation(scale * uv), rows (m00, m01, offset.x), (m10, m11, offset.y).
@@ -36,6 +53,8 @@ impl Default for TextureRef {
             texture: 0,
             wrap: [Wrap::Repeat; 2],
             nearest: false,
+            nearest_min: false,
+            mip: Mip::Linear,
             uv_set: 0,
             uv_transform: [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]],
         }
@@ -47,6 +66,123 @@ impl TextureRef {
     pub fn transform_uv(&self, uv: Vec2) -> Vec2 {
         let [a, b] = self.uv_transform;
         Vec2::new(a[0] * uv.x + a[1] * uv.y + a[2], b[0] * uv.x + b[1] * uv.y + b[2])
+    }
+}
+
+/// Perceptual roughness up to which a surface of metal and roughness counts as polished.
+pub const POLISHED: f32 = 0.01;
+
+/// Perceptual roughness from which a surface of metal and roughness has no mirror share: about where [`MAX_SHININESS`] ends.
+/// Between [`POLISHED`] and here the mirror fades and the highlight comes, so that fine grain in a texture is no noise.
+pub const NOT_POLISHED: f32 = 0.105;
+
+/// Largest Blinn-Phong exponent made from a roughness (r = 0.105): beyond it highlights are smaller than pixels.
+pub const MAX_SHININESS: f32 = 16384.0;
+
+/// Blinn-Phong exponent for glTF's perceptual roughness `r` in (0, 1]: 2/r⁴ − 2, in [0, [`MAX_SHININESS`]].
+///
+/// Twin: `shaders/shared/look.wgsl`.
+/// Source: Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007 (α = 2/α_b² − 2, α_b = r²).
+pub fn shininess_from_roughness(r: f32) -> f32 {
+    let alpha = r * r;
+    (2.0 / (alpha * alpha).max(1e-12) - 2.0).clamp(0.0, MAX_SHININESS)
+}
+
+/// Perceptual roughness for a Blinn-Phong exponent: the inverse of [`shininess_from_roughness`].
+pub fn roughness_from_shininess(shininess: f32) -> f32 {
+    (2.0 / (shininess.max(0.0) + 2.0)).sqrt().sqrt()
+}
+
+/// How one place of a surface splits light: the fields of [`Material`] of the same names.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Look {
+    /// Weight of the Lambertian lobe.
+    pub diffuse: f32,
+    /// Blinn-Phong k_s per channel.
+    pub specular: Vec3,
+    /// Blinn-Phong exponent.
+    pub shininess: f32,
+    /// Share of perfect mirror.
+    pub mirror: f32,
+    /// Share of glass in the rest.
+    pub transmission: f32,
+}
+
+impl Look {
+    /// Weight of the matte and ambient terms: (1 − mirror)(1 − transmission).
+    #[inline]
+    pub fn matte_weight(&self) -> f32 {
+        (1.0 - self.mirror) * (1.0 - self.transmission)
+    }
+    /// True where the tracer has work: a mirror or glass share over 0.
+    #[inline]
+    pub fn is_traced(&self) -> bool {
+        self.mirror > 0.0 || self.transmission > 0.0
+    }
+}
+
+/// Metal, roughness, glass and coverage that textures vary from place to place. Where a material has it, its [`Look`] is
+/// made anew at each place; the material's own fields of those names stand for its mean.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Physical {
+    /// Share of metal, in [0, 1].
+    pub metallic: f32,
+    /// glTF's perceptual roughness, in [0, 1].
+    pub roughness: f32,
+    /// Multiplies `roughness` by its green and `metallic` by its blue; linear image.
+    pub metallic_roughness_texture: Option<TextureRef>,
+    /// Reflectance of what is not metal, at normal incidence, per channel in [0, 1].
+    pub reflectance: Vec3,
+    /// Share of glass in what is not metal, in [0, 1].
+    pub transmission: f32,
+    /// Multiplies `transmission` by its red; linear image.
+    pub transmission_texture: Option<TextureRef>,
+    /// The surface covers only `alpha` of what lies behind it, times the base colour texture's alpha and the vertex colour's
+    /// (glTF's alpha blending); else all of it.
+    pub blended: bool,
+}
+
+/// Factors of a [`Physical`] at one place, each in [0, 1].
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct PhysicalPlace {
+    /// Share of metal.
+    pub metallic: f32,
+    /// Perceptual roughness.
+    pub roughness: f32,
+    /// Share of glass in what is not metal.
+    pub transmission: f32,
+    /// Share of what lies behind that is covered.
+    pub coverage: f32,
+}
+
+impl Physical {
+    /// The look of a place of colour `base_color`, by the formulas in the docs of [`crate::gltf`].
+    ///
+    /// Twin: `shaders/shared/look.wgsl` (tests/twins_look.rs).
+    pub fn look(&self, base_color: Vec3, at: PhysicalPlace) -> Look {
+        let PhysicalPlace { metallic, roughness, transmission, coverage } = at;
+        let mut out = if roughness <= POLISHED {
+            Look { diffuse: 1.0, specular: Vec3::ZERO, shininess: 32.0, mirror: metallic, transmission }
+        } else {
+            let polish = ((NOT_POLISHED - roughness) / (NOT_POLISHED - POLISHED)).max(0.0);
+            let mirror = metallic * polish;
+            // Look::matte_weight takes mirror and glass off; what must remain is (1-m)(1-t), and glass must be (1-m) t.
+            let rest = 1.0 - mirror;
+            let transmission_of_rest = if rest > 0.0 { (transmission * (1.0 - metallic) / rest).min(1.0) } else { 0.0 };
+            let matte = rest * (1.0 - transmission_of_rest);
+            let diffuse =
+                if matte > 0.0 { ((1.0 - metallic) * (1.0 - transmission) / matte).clamp(0.0, 1.0) } else { 0.0 };
+            let specular = (self.reflectance * (1.0 - roughness)).lerp(base_color, metallic) * (1.0 - polish);
+            let shininess = shininess_from_roughness(roughness);
+            Look { diffuse, specular, shininess, mirror, transmission: transmission_of_rest }
+        };
+        if coverage < 1.0 {
+            // (1 - mirror)(transmission) must be 1 - coverage once the mirror's share is scaled too.
+            out.specular *= coverage;
+            out.mirror *= coverage;
+            out.transmission = ((1.0 - coverage) / (1.0 - out.mirror).max(f32::MIN_POSITIVE)).min(1.0);
+        }
+        out
     }
 }
 
@@ -100,6 +236,8 @@ pub struct Material {
     pub normal_texture: Option<TextureRef>,
     /// Multiplies x and y of `normal_texture`, finite.
     pub normal_scale: f32,
+    /// Metal, roughness, glass and coverage by texture; `None`: the fields above hold everywhere.
+    pub physical: Option<Physical>,
     /// Shows base_color × texture as emitted radiance, lit by nothing (`KHR_materials_unlit`).
     pub unlit: bool,
 }
@@ -127,6 +265,7 @@ impl Default for Material {
             alpha_cutoff: 0.0,
             normal_texture: None,
             normal_scale: 1.0,
+            physical: None,
             unlit: false,
         }
     }
@@ -145,15 +284,26 @@ impl Material {
     pub fn glass(base_color: Vec3, ior: f32) -> Self {
         Self { base_color, ior, transmission: 1.0, ..Self::default() }
     }
-    /// Weight of the matte and ambient terms: (1 − mirror)(1 − transmission).
+    /// The fields that say how light is split: everywhere without [`Self::physical`], on average with it.
+    #[inline]
+    pub fn look(&self) -> Look {
+        Look {
+            diffuse: self.diffuse,
+            specular: self.specular,
+            shininess: self.shininess,
+            mirror: self.mirror,
+            transmission: self.transmission,
+        }
+    }
+    /// Weight of the matte and ambient terms: (1 − mirror)(1 − transmission); on average.
     #[inline]
     pub fn matte_weight(&self) -> f32 {
-        (1.0 - self.mirror) * (1.0 - self.transmission)
+        self.look().matte_weight()
     }
-    /// True where the tracer has work: a mirror or glass share over 0.
+    /// True where the tracer has work: a mirror or glass share over 0, on average.
     #[inline]
     pub fn is_traced(&self) -> bool {
-        self.mirror > 0.0 || self.transmission > 0.0
+        self.look().is_traced()
     }
     /// True where the surface may have holes.
     #[inline]
@@ -162,11 +312,26 @@ impl Material {
     }
     /// All textures that it uses.
     pub fn textures(&self) -> impl Iterator<Item = &TextureRef> {
-        [&self.base_color_texture, &self.emissive_texture, &self.normal_texture].into_iter().flatten()
+        let [metal, glass] = match &self.physical {
+            Some(p) => [&p.metallic_roughness_texture, &p.transmission_texture],
+            None => [&None, &None],
+        };
+        [&self.base_color_texture, &self.emissive_texture, &self.normal_texture, metal, glass].into_iter().flatten()
     }
     /// All textures that it uses, to be renumbered.
     pub fn textures_mut(&mut self) -> impl Iterator<Item = &mut TextureRef> {
-        [&mut self.base_color_texture, &mut self.emissive_texture, &mut self.normal_texture].into_iter().flatten()
+        let (metal, glass) = match &mut self.physical {
+            Some(p) => (p.metallic_roughness_texture.as_mut(), p.transmission_texture.as_mut()),
+            None => (None, None),
+        };
+        let own = [
+            self.base_color_texture.as_mut(),
+            self.emissive_texture.as_mut(),
+            self.normal_texture.as_mut(),
+            metal,
+            glass,
+        ];
+        own.into_iter().flatten()
     }
     /// First field that is out of its range, with its value.
     pub fn invalid_field(&self) -> Option<(&'static str, f32)> {
@@ -195,6 +360,20 @@ impl Material {
         for (name, v) in factors {
             if !unit(v) {
                 return Some((name, v));
+            }
+        }
+        if let Some(p) = &self.physical {
+            let r = p.reflectance;
+            let factors = [
+                ("physical.metallic", p.metallic),
+                ("physical.roughness", p.roughness),
+                ("physical.transmission", p.transmission),
+                ("physical.reflectance", r.x),
+                ("physical.reflectance", r.y),
+                ("physical.reflectance", r.z),
+            ];
+            if let Some(bad) = factors.into_iter().find(|(_, v)| !unit(*v)) {
+                return Some(bad);
             }
         }
         if !(self.shininess >= 0.0 && self.shininess.is_finite()) {

@@ -74,6 +74,9 @@ pub struct MeshData {
     pub uvs1: Vec<Vec2>,
     /// Linear RGBA that multiplies the material's base color. May be empty.
     pub colors: Vec<Vec4>,
+    /// Directions (xyz, unit, object space) along the normal map's x; its y points along cross(normal, xyz) · w, w being 1 or
+    /// −1. May be empty: each triangle's texture coordinates then span the frame.
+    pub tangents: Vec<Vec4>,
     /// Three vertex numbers a triangle, counter-clockwise seen from outside.
     pub triangles: Vec<[u32; 3]>,
 }
@@ -130,6 +133,7 @@ impl Mesh {
             ("uvs", data.uvs.len()),
             ("uvs1", data.uvs1.len()),
             ("colors", data.colors.len()),
+            ("tangents", data.tangents.len()),
         ] {
             if len != 0 && len != n {
                 return Err(MeshError::Length { attribute, len, positions: n });
@@ -171,6 +175,10 @@ impl Mesh {
     /// Linear vertex colours; empty or one a position.
     pub fn colors(&self) -> &[Vec4] {
         &self.data.colors
+    }
+    /// Frames of the normal map, [`MeshData::tangents`]; empty or one a position.
+    pub fn tangents(&self) -> &[Vec4] {
+        &self.data.tangents
     }
     /// Triangles as vertex numbers.
     #[inline]
@@ -237,6 +245,9 @@ fn with_flat_normals(data: MeshData) -> MeshData {
             }
             if !data.colors.is_empty() {
                 out.colors.push(data.colors[i]);
+            }
+            if !data.tangents.is_empty() {
+                out.tangents.push(data.tangents[i]);
             }
         }
         out.triangles.push([base, base + 1, base + 2]);

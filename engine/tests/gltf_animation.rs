@@ -83,7 +83,7 @@ const REST: [Vec3; 3] = [Vec3::ZERO, Vec3::X, Vec3::Y];
 fn nodes_move_by_the_step_number_alone() {
     let scene = load(&file(json!([[0, "translation"], [0, "rotation"]]), "LINEAR", false)).unwrap();
     assert!(scene.report.ignored.is_empty(), "{:?}", scene.report.ignored);
-    assert_eq!((scene.animations.len(), scene.duration, scene.deformations.len()), (1, 1.0, 0));
+    assert_eq!((scene.animations.len(), scene.animations[0].duration, scene.deformations.len()), (1, 1.0, 0));
     assert_near(corners(&played(&scene, 0).1), REST);
     let (mut app, half) = played(&scene, 30);
     let turn = Quat::from_rotation_z(std::f32::consts::FRAC_PI_4);

@@ -211,7 +211,7 @@ fn textures_from_data_uris_with_samplers_and_transforms() {
         { "emissiveTexture": { "index": 0 }, "emissiveFactor": [1, 1, 1] },
     ]);
     let scene = materials(list, more.clone()).unwrap();
-    assert_eq!(scene.textures.len(), 1, "one image is decoded once");
+    assert_eq!(scene.textures.iter().map(|t| t.srgb()).collect::<Vec<_>>(), [true, false], "as colour and as numbers");
     let m = &scene.materials[0];
     let r = m.base_color_texture.unwrap();
     assert_eq!((r.uv_set, r.nearest, r.wrap), (0, true, [Wrap::Clamp, Wrap::Mirror]));
@@ -224,7 +224,7 @@ fn textures_from_data_uris_with_samplers_and_transforms() {
     let roughness: f32 = 0.5 * 128.0 / 255.0;
     assert!((m.diffuse - 0.5).abs() < 1e-6);
     assert!((m.shininess / shininess_from_roughness(roughness) - 1.0).abs() < 1e-4);
-    assert_eq!(scene.report.ignored, ["metallicRoughnessTexture (its mean is used)"]);
+    assert!(scene.report.ignored.is_empty(), "{:?}", scene.report.ignored);
 
     // Limits hold before a texel is decoded; a broken image costs only itself.
     let bytes_of = |more: &Value| {

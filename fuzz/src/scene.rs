@@ -1,9 +1,9 @@
 //! What holds for any `RenderScene`, however it was put together. Shared by the fuzz target and the test over its corpus.
 
 use catoptra_engine::{
-    Camera, Environment, Instance, Light, LightKind, Material, Mesh, MeshData, Projection, RenderScene, Texture,
-    TextureRef,
-    glam::{Affine3, Mat3, Vec2, Vec3},
+    Camera, Environment, Instance, Light, LightKind, Material, Mesh, MeshData, Mip, Physical, Projection, RenderScene,
+    Texture, TextureRef, Wrap,
+    glam::{Affine3, Mat3, Vec2, Vec3, Vec4},
 };
 use catoptra_render_hybrid::{
     GlassShadows, Preset, RasterLane, RenderSettings, Renderer, RendererOptions, Shadows, accel::Ray,
@@ -53,24 +53,50 @@ fn number_of(r: &mut Recipe, n: usize) -> u32 {
 
 fn build(r: &mut Recipe) -> RenderScene {
     let mut scene = RenderScene::default();
-    scene.textures.push(Arc::new(
-        Texture::new(2, 2, (0..4).map(|_| [r.byte(), r.byte(), r.byte(), r.byte()]).collect(), true)
-            .expect("four texels"),
-    ));
+    let (width, height) = (1 + r.index(5), 1 + r.index(5));
+    let texels = (0..width * height).map(|_| [r.byte(), r.byte(), r.byte(), r.byte()]).collect();
+    let srgb = r.byte() % 2 == 0;
+    scene.textures.push(Arc::new(Texture::new(width, height, texels, srgb).expect("as many texels as it has")));
     for _ in 0..1 + r.index(3) {
         let n = 3 + r.index(6);
         let positions: Vec<Vec3> = (0..n).map(|_| r.vector()).collect();
         let uvs =
             if r.byte() % 2 == 0 { Vec::new() } else { (0..n).map(|_| Vec2::new(r.number(), r.number())).collect() };
         let normals = if r.byte() % 2 == 0 { Vec::new() } else { (0..n).map(|_| r.vector()).collect() };
+        let some = |r: &mut Recipe| (0..n).map(|_| Vec4::new(r.number(), r.number(), r.number(), r.number())).collect();
+        let colors = if r.byte() % 2 == 0 { Vec::new() } else { some(r) };
+        let tangents = if r.byte() % 2 == 0 { Vec::new() } else { some(r) };
         let triangles = (0..1 + r.index(6)).map(|_| [r.index(n), r.index(n), r.index(n)]).collect();
-        if let Ok(mesh) = Mesh::new(MeshData { positions, normals, uvs, triangles, ..Default::default() }) {
+        if let Ok(mesh) =
+            Mesh::new(MeshData { positions, normals, uvs, colors, tangents, triangles, ..Default::default() })
+        {
             scene.meshes.push(Arc::new(mesh));
         }
     }
     for _ in 0..1 + r.index(3) {
-        let map =
-            |r: &mut Recipe| (r.byte() % 3 == 0).then(|| TextureRef { texture: r.index(2), ..Default::default() });
+        let map = |r: &mut Recipe| {
+            (r.byte() % 3 == 0).then(|| TextureRef {
+                texture: u32::from(r.byte() % 16 == 0),
+                wrap: [Wrap::Repeat, Wrap::Clamp, Wrap::Mirror]
+                    .map(|w| if r.byte() % 2 == 0 { w } else { Wrap::Repeat })[..2]
+                    .try_into()
+                    .expect("two of three"),
+                nearest: r.byte() % 2 == 0,
+                nearest_min: r.byte() % 2 == 0,
+                mip: [Mip::None, Mip::Nearest, Mip::Linear][r.index(3) as usize],
+                uv_set: r.index(2),
+                uv_transform: [[r.number(), r.number(), r.number()], [r.number(), r.number(), r.number()]],
+            })
+        };
+        let physical = (r.byte() % 2 == 0).then(|| Physical {
+            metallic: r.unit(),
+            roughness: r.unit(),
+            metallic_roughness_texture: map(r),
+            reflectance: r.color(),
+            transmission: r.unit(),
+            transmission_texture: map(r),
+            blended: r.byte() % 2 == 0,
+        });
         scene.materials.push(Material {
             base_color: r.color(),
             base_color_texture: map(r),
@@ -87,6 +113,8 @@ fn build(r: &mut Recipe) -> RenderScene {
             normal_scale: r.number(),
             unlit: r.byte() % 8 == 0,
             schlick: r.byte() % 2 == 0,
+            physical,
+            alpha: r.unit(),
             ..Material::default()
         });
     }

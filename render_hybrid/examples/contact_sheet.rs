@@ -5,7 +5,7 @@
 
 use catoptra_engine::{
     Camera, Extracted, ImportLimits, ImportedScene, StableId, app, bevy_ecs::prelude::*,
-    bevy_transform::components::Transform, fit_camera, headlight, load_gltf,
+    bevy_transform::components::Transform, fit_camera, glam::Vec3, headlight, load_gltf,
 };
 use catoptra_render_hybrid::{Image, Preset, RasterLane, RenderSettings, Renderer, RendererOptions, image_io};
 use std::path::{Path, PathBuf};
@@ -33,6 +33,8 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
                 let (world, camera) = world(&scene);
                 let mut drawn = world.resource::<Extracted>().0.clone();
                 drawn.camera = camera;
+                // Something for mirrors and glass to show.
+                drawn.environment.background = Vec3::new(0.2, 0.25, 0.32);
                 let frame = renderer.render(&drawn, &settings)?;
                 println!(
                     "{}: {} triangles; left out: {:?}",

@@ -9,18 +9,14 @@ use catoptra_engine::{
     glam::Vec3,
     math, shapes,
 };
-use catoptra_render_hybrid::{RenderHybridPlugin, RenderSettings, RenderedFrames, image_io};
+use catoptra_render_hybrid::{RenderHybridPlugin, RenderedFrames, image_io};
 
 #[derive(Component)]
 struct Mirror;
 
 fn main() {
     let mut app = App::new();
-    app.add_plugins(RenderHybridPlugin::with_settings(RenderSettings {
-        width: 320,
-        height: 240,
-        ..Default::default()
-    }));
+    app.add_plugins(RenderHybridPlugin::of_size(320, 240));
     app.add_systems(Startup, spawn).add_systems(FixedUpdate, swing);
     for frame in 0..3 {
         app.update();

@@ -19,6 +19,10 @@ pub enum RenderError {
         /// What is missing here.
         missing: String,
     },
+    /// A view given to draw into cannot be drawn into: its texture is gone, or it is of another format, usage or device. The
+    /// renderer itself is sound; give it a view that works.
+    #[error("the view cannot be drawn into: {0}")]
+    View(String),
     /// The GPU failed while working.
     #[error("the GPU failed: {0}")]
     Gpu(String),

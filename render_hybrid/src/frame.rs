@@ -391,7 +391,7 @@ fn render_band(
                 band.guides[at] = scratch.guides[i];
             }
             for (layer, out) in KEPT.iter().zip(&mut band.layers) {
-                out[at] = layer_value(ctx, *layer, g, &scratch, i).to_array();
+                out[at] = layer_value(*layer, g, &scratch, i).to_array();
             }
         }
         stats.nanos[4] += start.elapsed().as_nanos() as u64;
@@ -399,16 +399,15 @@ fn render_band(
     (stats, non_finite)
 }
 
-fn layer_value(ctx: &FrameContext, layer: Layer, g: &GBufferPixel, scratch: &TileScratch, i: usize) -> Vec3 {
+fn layer_value(layer: Layer, g: &GBufferPixel, scratch: &TileScratch, i: usize) -> Vec3 {
     let Some(s) = &g.surface else {
         return if layer == Layer::Direct { scratch.direct[i] } else { Vec3::ZERO };
     };
-    let m = &ctx.scene.materials[s.material as usize];
     match layer {
         Layer::Direct => scratch.direct[i],
         Layer::Indirect => scratch.indirect[i],
         Layer::Traced => scratch.traced[i],
-        Layer::Mask => Vec3::new(m.mirror, (1.0 - m.mirror) * m.transmission, 0.0),
+        Layer::Mask => Vec3::new(s.look.mirror, (1.0 - s.look.mirror) * s.look.transmission, 0.0),
         Layer::Depth => Vec3::splat(g.depth),
         Layer::Normal => s.n_shading * 0.5 + 0.5,
         Layer::Albedo => s.base_color,

@@ -37,6 +37,10 @@ pub struct RenderHybridPlugin {
 }
 
 impl RenderHybridPlugin {
+    /// The plugin with pictures of another size, pixels.
+    pub fn of_size(width: u32, height: u32) -> Self {
+        Self::with_settings(RenderSettings { width, height, ..RenderSettings::default() })
+    }
     /// The plugin with other settings.
     pub fn with_settings(settings: RenderSettings) -> Self {
         Self { settings, ..Self::default() }

@@ -180,7 +180,8 @@ impl Renderer {
     ///   `RENDER_ATTACHMENT`
     ///
     /// # Errors
-    /// As [`Self::render`]; [`RenderError::Unavailable`] where the renderer has no device.
+    /// As [`Self::render`]; [`RenderError::Unavailable`] where the renderer has no device; [`RenderError::View`] where the view
+    /// is not fit to be drawn into (its surface is lost, say): the lane stays, and the next view may do.
     pub fn render_to_view(
         &mut self,
         scene: &RenderScene,

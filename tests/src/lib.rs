@@ -14,6 +14,7 @@
 //! goldens.check_flip("title-screen", &Rendering::of_image(&frame.image), limits).unwrap();
 //! ```
 
+mod crowd;
 pub mod ecs;
 pub mod fixtures;
 mod gpu;
@@ -24,6 +25,7 @@ mod numbers;
 mod shared;
 mod snapshot;
 
+pub use crowd::Crowd;
 pub use gpu::{gpu_or_skip, opened_or_skip, skip, skips};
 pub use hand::{HandScene, at, wall_of_positions};
 pub use hashes::{HashError, HashLedger};
@@ -41,3 +43,8 @@ pub fn updating_goldens() -> bool {
 #[cfg(doctest)]
 #[doc = include_str!("../../README.md")]
 struct Readme;
+
+/// The embedding page's examples, compiled and run.
+#[cfg(doctest)]
+#[doc = include_str!("../../docs/embedding.md")]
+struct Embedding;

@@ -14,7 +14,7 @@ use catoptra_render_hybrid::{
     CameraSettings, Frame, HybridRenderer, RasterLane, Raycaster, RenderError, RenderHybridPlugin, RenderSettings,
     RenderTarget, RenderedFrames, Renderer, RendererOptions, accel::Ray, raster::GpuRaster,
 };
-use catoptra_tests::fixtures;
+use catoptra_tests::{Crowd, fixtures};
 
 const WIDTH: u32 = 96;
 const HEIGHT: u32 = 64;
@@ -61,6 +61,16 @@ fn hash(app: &App) -> u64 {
 /// The picture that a renderer without history makes of the world as it stands.
 fn fresh_hash(app: &App) -> u64 {
     fixtures::fresh(&fixtures::extracted(app), &fixtures::small(WIDTH, HEIGHT, 64)).image.hash()
+}
+
+#[test]
+fn the_smallest_example_is_small() {
+    let path = concat!(env!("CARGO_MANIFEST_DIR"), "/../render_hybrid/examples/minimal_plugin.rs");
+    let text = std::fs::read_to_string(path).unwrap();
+    let code: Vec<&str> = text.lines().skip_while(|l| !l.starts_with("fn main")).collect();
+    assert!(code.len() <= 30, "{} lines from fn main to a moving mirror", code.len());
+    let plugin: Vec<&str> = code.iter().copied().filter(|l| l.contains("RenderHybridPlugin")).collect();
+    assert!(plugin.len() == 1 && plugin[0].trim_end().ends_with(';'), "the plugin is one line: {plugin:?}");
 }
 
 #[test]
@@ -200,13 +210,7 @@ fn what_is_promised_to_be_sent_is_sent() {
 #[test]
 fn a_world_of_a_thousand_frames_of_edits_equals_a_fresh_one() {
     let (mut app, ball, ..) = world();
-    let MeshInstance { mesh, material } = *app.world().get::<MeshInstance>(ball).unwrap();
-    let mut alive: Vec<Entity> = Vec::new();
-    let mut state = 1u32;
-    let mut random = move || {
-        state = state.wrapping_mul(1_664_525).wrapping_add(1_013_904_223);
-        state >> 8
-    };
+    let mut crowd = Crowd::new(*app.world().get::<MeshInstance>(ball).unwrap());
     // No pictures but at the end: what is tested is what the edits leave behind.
     let camera = app.world().resource::<catoptra_engine::ExtractedCameras>().0[0].entity;
     app.world_mut().entity_mut(camera).insert(RenderTarget::Off);
@@ -221,19 +225,7 @@ fn a_world_of_a_thousand_frames_of_edits_equals_a_fresh_one() {
     let mut sizes = Vec::new();
     for frame in 0..1000_u32 {
         for _ in 0..10 {
-            let place = Vec3::from_array(std::array::from_fn(|_| (random() % 500) as f32 / 100.0 - 2.5));
-            let pick = random() as usize;
-            if alive.len() < 40 || (alive.len() < 200 && pick.is_multiple_of(3)) {
-                let id = StableId(100 + u64::from(random()) * 65_536 + u64::from(frame));
-                let pose = Transform::from_translation(place).with_scale(Vec3::splat(0.15));
-                alive.push(app.world_mut().spawn((id, MeshInstance { mesh, material }, pose)).id());
-            } else if pick % 3 == 1 {
-                let at = pick / 3 % alive.len();
-                app.world_mut().despawn(alive.swap_remove(at));
-            } else {
-                let at = pick / 3 % alive.len();
-                app.world_mut().get_mut::<Transform>(alive[at]).unwrap().translation = place;
-            }
+            crowd.edit(app.world_mut(), frame);
         }
         app.update();
         if frame % 20 == 0 {

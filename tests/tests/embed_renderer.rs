@@ -171,6 +171,76 @@ fn a_device_that_lacks_something_is_told_or_only_shows() {
     assert!(error.to_string().contains("with_device"), "{error}");
 }
 
+/// A renderer with the GPU lane on the host's device, whatever kind of adapter that is.
+fn on_gpu(device: &wgpu::Device, queue: &wgpu::Queue, options: RendererOptions) -> Renderer {
+    let gpu = GpuRaster::from_device(device.clone(), queue.clone()).unwrap();
+    Renderer::with_gpu(options, Some(gpu)).unwrap()
+}
+
+#[test]
+fn a_lost_surface_costs_one_picture_and_not_the_lane() {
+    let Some((device, queue)) = host("a_lost_surface_costs_one_picture_and_not_the_lane", |a| a.limits()) else {
+        return;
+    };
+    let lost = |format| {
+        let texture = picture(&device);
+        let view = texture.create_view(&Default::default());
+        texture.destroy();
+        (texture, view, format)
+    };
+    for raster in [RasterLane::Auto, RasterLane::Gpu, RasterLane::Cpu] {
+        let options = RendererOptions { raster, ..Default::default() };
+        // `Auto` would leave a software adapter to the CPU: here it has the GPU lane.
+        let mut renderer = match raster {
+            RasterLane::Auto => on_gpu(&device, &queue, options),
+            _ => Renderer::with_device(device.clone(), queue.clone(), options).unwrap(),
+        };
+        let lane = renderer.lane();
+        assert_eq!(lane == RasterLane::Cpu, raster == RasterLane::Cpu);
+        // As a swap chain leaves it when its window goes or changes: the texture is gone, or is not of the format asked for.
+        let other = picture(&device);
+        let other_view = other.create_view(&Default::default());
+        for (_texture, view, format) in
+            [lost(FORMAT), (other, other_view, wgpu::TextureFormat::Bgra8Unorm), lost(FORMAT)]
+        {
+            match renderer.render_to_view(&scene(), &settings(), &view, format, 0.0) {
+                Err(RenderError::View(why)) => assert!(!why.is_empty() && !why.contains('\n'), "{why}"),
+                outcome => panic!("{raster:?}: {:?}", outcome.map(|s| s.raster)),
+            }
+        }
+        assert_eq!((renderer.lane(), renderer.fault()), (lane, None), "the view was at fault, not the GPU");
+        let good = picture(&device);
+        renderer.render_to_view(&scene(), &settings(), &good.create_view(&Default::default()), FORMAT, 0.0).unwrap();
+        let expected = as_bytes(&fixtures::fresh(&scene(), &settings()).image);
+        assert!(difference(&read(&device, &queue, &good), &expected).1 <= 0.03, "{raster:?}");
+    }
+}
+
+#[test]
+fn a_scene_too_large_for_the_adapter_is_told_or_goes_to_the_cpu() {
+    let test = "a_scene_too_large_for_the_adapter_is_told_or_goes_to_the_cpu";
+    let small = |a: &wgpu::Adapter| wgpu::Limits { max_storage_buffer_binding_size: 128 << 10, ..a.limits() };
+    let Some((device, queue)) = host(test, small) else { return };
+    let mut large = scene();
+    let ball = shapes::sphere(1.0, 64, 128);
+    assert!(ball.positions().len() * 60 > 128 << 10);
+    large.meshes[1] = std::sync::Arc::new(ball);
+    for raster in [RasterLane::Auto, RasterLane::Gpu] {
+        let options = RendererOptions { raster, ..Default::default() };
+        let mut renderer = on_gpu(&device, &queue, options);
+        assert_eq!(renderer.lane(), RasterLane::Gpu);
+        match renderer.render(&large, &settings()) {
+            Err(RenderError::Gpu(why)) if raster == RasterLane::Gpu => {
+                assert!(why.contains("vertices") && why.contains("131072"), "{why}");
+            }
+            Ok(frame) if raster == RasterLane::Auto => {
+                assert_eq!(frame.image.hash(), fixtures::fresh(&large, &settings()).image.hash());
+            }
+            outcome => panic!("{raster:?}: {:?}", outcome.map(|f| f.stats.raster)),
+        }
+    }
+}
+
 #[test]
 fn with_auto_the_cpu_takes_over_from_a_broken_gpu() {
     let expected = fixtures::fresh(&scene(), &settings()).image.hash();

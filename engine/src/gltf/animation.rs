@@ -1,4 +1,4 @@
-//! The first animation of a file: tracks of nodes, checked.
+//! The animations of a file: tracks of nodes, checked.
 
 use super::{
     accessor::Accessor,
@@ -12,28 +12,38 @@ use crate::animation::{Interpolation, NodeTracks, Track};
 use glam::{Quat, Vec3};
 use std::collections::BTreeMap;
 
-/// Tracks by node number in the file, and the seconds after which they begin anew.
+/// Tracks of one animation by node number in the file, and the seconds after which they begin anew.
 #[derive(Default)]
-pub(super) struct Tracks {
+pub(super) struct Clip {
+    pub name: Option<String>,
     pub of_node: BTreeMap<u32, NodeTracks>,
     pub duration: f32,
 }
 
-/// Reads the first animation; further ones are noted.
-pub(super) fn first(
+/// Reads all animations.
+pub(super) fn all(
     document: &Document,
     buffers: &Buffers,
     limits: &ImportLimits,
     ignored: &mut Ignored,
-) -> Result<Tracks, GltfError> {
-    let mut out = Tracks::default();
-    let Some(animation) = document.animations.first() else { return Ok(out) };
-    if document.animations.len() > 1 {
-        ignored.note("animations beside the first");
-    }
+) -> Result<Vec<Clip>, GltfError> {
     let mut numbers = 0_u64;
+    (0..document.animations.len()).map(|i| read(document, i, buffers, limits, &mut numbers, ignored)).collect()
+}
+
+/// Reads one. * `numbers`: keys of all so far
+fn read(
+    document: &Document,
+    index: usize,
+    buffers: &Buffers,
+    limits: &ImportLimits,
+    numbers: &mut u64,
+    ignored: &mut Ignored,
+) -> Result<Clip, GltfError> {
+    let animation = &document.animations[index];
+    let mut out = Clip { name: animation.name.clone(), ..Clip::default() };
     for (i, channel) in animation.channels.iter().enumerate() {
-        let place = &format!("animation 0, channel {i}");
+        let place = &format!("animation {index}, channel {i}");
         let Some(node) = channel.target.node else {
             ignored.note("animation channels without a node");
             continue;
@@ -58,8 +68,8 @@ pub(super) fn first(
         let input = Accessor::open(document, buffers, sampler.input, place)?;
         let output = Accessor::open(document, buffers, sampler.output, place)?;
         // Accessors without a buffer are of any length at no cost to the file.
-        numbers = numbers.saturating_add(input.count as u64).saturating_add(output.count as u64);
-        within("animation keys", numbers, limits.vertices)?;
+        *numbers = numbers.saturating_add(input.count as u64).saturating_add(output.count as u64);
+        within("animation keys", *numbers, limits.vertices)?;
         if input.components != 1 || input.count == 0 {
             return Err(GltfError::invalid(place, "its times must be a list of numbers"));
         }

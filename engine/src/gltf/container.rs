@@ -8,6 +8,7 @@ use super::{
 
 /// Extensions whose meaning is honoured, at least as far as the module's docs say.
 pub(super) const SUPPORTED: &[&str] = &[
+    "EXT_mesh_gpu_instancing",
     "KHR_lights_punctual",
     "KHR_materials_emissive_strength",
     "KHR_materials_ior",
@@ -20,7 +21,7 @@ pub(super) const SUPPORTED: &[&str] = &[
     "KHR_texture_transform",
 ];
 
-/// Extensions that change only the look of a surface: without them the scene is plainer, not wrong, so that a file may
+/// Extensions that change only the look of a surface, or nothing that is seen: without them the scene is plainer, not wrong, so that a file may
 /// even require them.
 const ONLY_LOOK: &[&str] = &[
     "KHR_materials_anisotropy",
@@ -30,6 +31,8 @@ const ONLY_LOOK: &[&str] = &[
     "KHR_materials_iridescence",
     "KHR_materials_sheen",
     "KHR_materials_variants",
+    "KHR_materials_volume_scatter",
+    "KHR_xmp_json_ld",
 ];
 
 /// Splits a file by its content (not by its name) into JSON text and the GLB's binary chunk.
@@ -77,10 +80,11 @@ pub(super) fn split(bytes: &[u8]) -> Result<(&[u8], Option<&[u8]>), GltfError> {
 
 /// Parses the JSON. Its structure is counted first, so that a small text cannot become a huge tree.
 pub(super) fn parse(json: &[u8], limits: &ImportLimits) -> Result<Document, GltfError> {
+    let json = json.strip_prefix(b"\xEF\xBB\xBF").unwrap_or(json);
     within("JSON tokens", count_tokens(json), limits.json_tokens)?;
     // GLB pads with spaces, some writers with zero bytes.
     let end = json.iter().rposition(|b| *b != 0).map_or(0, |i| i + 1);
-    let document: Document = serde_json::from_slice(&json[..end])?;
+    let document: Document = serde_json::from_slice(&json[..end]).map_err(|e| GltfError::Json(e.to_string()))?;
     let version = document.asset.min_version.as_ref().unwrap_or(&document.asset.version);
     let newer = document.asset.min_version.as_ref().is_some_and(|v| v.as_str() != "2.0");
     if newer || !version.starts_with("2.") {

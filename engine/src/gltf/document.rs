@@ -112,6 +112,7 @@ pub(super) struct Skin {
 
 #[derive(Debug, Deserialize)]
 pub(super) struct AnimationDef {
+    pub name: Option<String>,
     #[serde(default)]
     pub channels: Vec<ChannelDef>,
     #[serde(default)]
@@ -204,6 +205,12 @@ pub(super) struct NormalTextureInfo {
     pub extensions: Extensions,
 }
 
+impl NormalTextureInfo {
+    pub fn info(&self) -> TextureInfo {
+        TextureInfo { index: self.index, tex_coord: self.tex_coord, extensions: self.extensions.clone() }
+    }
+}
+
 #[derive(Debug, Deserialize)]
 pub(super) struct TextureDef {
     pub sampler: Option<u32>,
@@ -223,6 +230,7 @@ pub(super) struct ImageDef {
 #[serde(rename_all = "camelCase", default)]
 pub(super) struct SamplerDef {
     pub mag_filter: Option<u32>,
+    pub min_filter: Option<u32>,
     pub wrap_s: Option<u32>,
     pub wrap_t: Option<u32>,
 }

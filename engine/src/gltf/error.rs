@@ -21,7 +21,7 @@ pub enum GltfError {
     Container(String),
     /// The JSON text is broken, or a field has the wrong type.
     #[error("broken glTF JSON: {0}")]
-    Json(#[from] serde_json::Error),
+    Json(String),
     /// Not glTF 2.x.
     #[error("glTF version {0:?} is not supported, only 2.x")]
     Version(String),

@@ -15,8 +15,23 @@ use crate::mesh::{Mesh, MeshData};
 use glam::{Affine3, Mat3, Vec2, Vec3, Vec4};
 use std::{collections::BTreeMap, sync::Arc};
 
-/// Attributes that become part of a mesh.
-const USED: [&str; 5] = ["POSITION", "NORMAL", "TEXCOORD_0", "TEXCOORD_1", "COLOR_0"];
+/// What a primitive's material reads of its vertices beside position, normal and colour.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Reads {
+    /// Numbers of the sets that become the mesh's first and second.
+    pub uv_sets: [u32; 2],
+    /// It has a normal map.
+    pub tangents: bool,
+}
+
+impl Reads {
+    fn has(&self, attribute: &str) -> bool {
+        let set = attribute.strip_prefix("TEXCOORD_").and_then(|n| n.parse().ok());
+        matches!(attribute, "POSITION" | "NORMAL" | "COLOR_0")
+            || (self.tangents && attribute == "TANGENT")
+            || set.is_some_and(|n| self.uv_sets.contains(&n))
+    }
+}
 
 /// How a node poses a mesh beyond its transform.
 #[derive(Default)]
@@ -29,7 +44,7 @@ pub(super) struct Deform {
     pub animated: Option<u32>,
 }
 
-type Key = (Vec<(String, u32)>, Option<u32>, u32, Vec<u32>, Option<u32>, Option<u32>);
+type Key = (Vec<(String, u32)>, [u32; 2], Option<u32>, u32, Vec<u32>, Option<u32>, Option<u32>);
 
 /// Builds meshes, sharing those that are built from the same data in the same way.
 pub(super) struct Geometry<'a> {
@@ -64,6 +79,7 @@ impl<'a> Geometry<'a> {
     pub fn primitive(
         &mut self,
         primitive: &Primitive,
+        reads: Reads,
         deform: &Deform,
         place: &str,
         ignored: &mut Ignored,
@@ -71,7 +87,7 @@ impl<'a> Geometry<'a> {
         let mut attributes = Vec::new();
         for (name, &accessor) in &primitive.attributes {
             let posed = deform.skin.is_some() && matches!(name.as_str(), "JOINTS_0" | "WEIGHTS_0");
-            if USED.contains(&name.as_str()) || posed {
+            if reads.has(name) || posed {
                 attributes.push((name.clone(), accessor));
             } else if (name.starts_with("TEXCOORD_") || name.starts_with("COLOR_"))
                 || (deform.skin.is_some() && name.starts_with("JOINTS_"))
@@ -88,12 +104,12 @@ impl<'a> Geometry<'a> {
                 attributes.push((name.clone(), accessor));
             }
         }
-        let key =
-            (attributes, primitive.indices, primitive.mode, bits, deform.skin.as_ref().map(|s| s.0), deform.animated);
+        let skin = deform.skin.as_ref().map(|s| s.0);
+        let key = (attributes, reads.uv_sets, primitive.indices, primitive.mode, bits, skin, deform.animated);
         if let Some(&known) = self.cache.get(&key) {
             return Ok(known);
         }
-        let built = match self.build(primitive, deform, place, ignored)? {
+        let built = match self.build(primitive, reads, deform, place, ignored)? {
             Some(data) => {
                 let mesh = Mesh::new(data).map_err(|e| GltfError::invalid(place, e.to_string()))?;
                 if let Some(source) = self.source.take() {
@@ -115,6 +131,7 @@ impl<'a> Geometry<'a> {
     fn build(
         &mut self,
         primitive: &Primitive,
+        reads: Reads,
         deform: &Deform,
         place: &str,
         ignored: &mut Ignored,
@@ -195,8 +212,17 @@ impl<'a> Geometry<'a> {
             let finite = |v: Vec2| if v.is_finite() { v } else { Vec2::ZERO };
             kept.iter().map(|&v| finite(Vec2::from(a.read(v as usize, [0.0; 2])))).collect()
         };
-        data.uvs = attribute("TEXCOORD_0", 2..=2)?.map_or_else(Vec::new, uv);
-        data.uvs1 = attribute("TEXCOORD_1", 2..=2)?.map_or_else(Vec::new, uv);
+        let [first, second] = reads.uv_sets.map(|n| format!("TEXCOORD_{n}"));
+        data.uvs = attribute(&first, 2..=2)?.map_or_else(Vec::new, uv);
+        data.uvs1 = attribute(&second, 2..=2)?.map_or_else(Vec::new, uv);
+        // Frames without normals mean nothing: flat ones are computed, and with them the frames.
+        if reads.tangents
+            && !flat
+            && let Some(a) = attribute("TANGENT", 4..=4)?
+        {
+            let usable = |t: Vec4| if t.is_finite() { t } else { Vec4::ZERO };
+            data.tangents = kept.iter().map(|&v| usable(Vec4::from(a.read(v as usize, [0.0; 4])))).collect();
+        }
         if let Some(a) = attribute("COLOR_0", 3..=4)? {
             let a = a.force_normalized();
             let unit = |x: f32| if x > 0.0 { x.min(1.0) } else { 0.0 };
@@ -288,6 +314,16 @@ impl<'a> Geometry<'a> {
                     *value += Vec3::from(a.read(v as usize, [0.0; 3])) * weight;
                 }
             }
+            if let (Some(&index), false) = (target.get("TANGENT"), data.tangents.is_empty()) {
+                let a = self.open(index, place)?;
+                if a.count != count || a.components != 3 {
+                    return Err(GltfError::invalid(place, "a morph target's TANGENT does not fit the mesh"));
+                }
+                for (value, &v) in data.tangents.iter_mut().zip(kept) {
+                    let delta = Vec3::from(a.read(v as usize, [0.0; 3])) * weight;
+                    *value += if delta.is_finite() { delta.extend(0.0) } else { Vec4::ZERO };
+                }
+            }
         }
         Ok(())
     }
@@ -348,6 +384,9 @@ fn pose(
             data.positions[i] = sum.transform_point3(data.positions[i]);
             if let Some(n) = data.normals.get_mut(i) {
                 *n = cofactor(sum.matrix3) * *n;
+            }
+            if let Some(t) = data.tangents.get_mut(i) {
+                *t = (sum.matrix3 * t.truncate()).extend(t.w);
             }
         }
     }

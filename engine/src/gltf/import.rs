@@ -5,13 +5,15 @@ use super::{
     animation,
     buffers::{Buffers, Source, read_file},
     container,
-    document::{Document, Node, item, own_extras},
+    document::{Document, MaterialDef, Node, item, own_extras},
     error::{GltfError, within},
     geometry::{Deform, Geometry},
     limits::ImportLimits,
     materials, nodes, punctual,
     report::Ignored,
-    scene::{ImportedAnimation, ImportedDeformation, ImportedNode, ImportedPrimitive, ImportedScene, invertible},
+    scene::{
+        ImportedAnimation, ImportedDeformation, ImportedNode, ImportedPrimitive, ImportedScene, NodeClip, invertible,
+    },
     textures::Textures,
 };
 use crate::{material::Material, mesh::Aabb, render_scene::Environment};
@@ -89,7 +91,9 @@ pub fn load_gltf_bytes(bytes: &[u8], base: Option<&Path>, limits: &ImportLimits)
         }
     }
 
-    let tracks = animation::first(&document, &buffers, limits, &mut ignored)?;
+    let clips = animation::all(&document, &buffers, limits, &mut ignored)?;
+    let morphed = |node: u32| clips.iter().any(|c| c.of_node.get(&node).is_some_and(|t| t.weights.is_some()));
+    let moving = clips.iter().any(|c| !c.of_node.is_empty());
 
     // Meshes, and the materials that they use.
     let mut geometry = Geometry::new(&document, &buffers, limits);
@@ -102,7 +106,13 @@ pub fn load_gltf_bytes(bytes: &[u8], base: Option<&Path>, limits: &ImportLimits)
         let Some(mesh) = node.mesh else { continue };
         let def = item(&document.meshes, mesh, "mesh", &format!("node {number}"))?;
         // One mesh of many primitives under many nodes: a product that a short file can make huge.
-        instances += def.primitives.len() as u64;
+        let copies = match node.skin {
+            None => nodes::copies(&document, &buffers, node, limits, &format!("node {number}"))?,
+            // A skin poses the mesh where its joints are: all copies would be one.
+            Some(_) => None,
+        };
+        let count = copies.as_ref().map_or(1, |c| c.len() as u64);
+        instances = count.saturating_mul(def.primitives.len() as u64).saturating_add(instances);
         within("instances", instances, limits.instances)?;
         let skin = match node.skin {
             Some(skin) => {
@@ -117,13 +127,14 @@ pub fn load_gltf_bytes(bytes: &[u8], base: Option<&Path>, limits: &ImportLimits)
         if weights.iter().any(|w| !w.is_finite()) {
             return Err(GltfError::invalid(format!("node {number}"), "a morph weight is not finite"));
         }
-        let morphs = tracks.of_node.get(&number).is_some_and(|t| t.weights.is_some());
-        let animated = (morphs || (skin.is_some() && !tracks.of_node.is_empty())).then_some(number);
+        let animated = (morphed(number) || (skin.is_some() && moving)).then_some(number);
         let deform = Deform { weights, skin, animated };
         let mut primitives = Vec::new();
         for (i, primitive) in def.primitives.iter().enumerate() {
             let place = &format!("mesh {mesh}, primitive {i}");
-            let Some(built) = geometry.primitive(primitive, &deform, place, &mut ignored)? else { continue };
+            let look = primitive.material.and_then(|m| document.materials.get(m as usize));
+            let reads = materials::reads(look.unwrap_or(&MaterialDef::default()));
+            let Some(built) = geometry.primitive(primitive, reads, &deform, place, &mut ignored)? else { continue };
             let material = match material_of.get(&primitive.material) {
                 Some(&known) => known,
                 None => {
@@ -155,17 +166,35 @@ pub fn load_gltf_bytes(bytes: &[u8], base: Option<&Path>, limits: &ImportLimits)
                 light: None,
                 camera: None,
             });
+        } else if let Some(copies) = copies {
+            for transform in copies {
+                let (name, local) = (node.name.clone(), matrix(&transform));
+                let primitives = primitives.clone();
+                let parent = Some(at);
+                scene.nodes.push(ImportedNode {
+                    name,
+                    parent,
+                    transform,
+                    local,
+                    primitives,
+                    light: None,
+                    camera: None,
+                });
+            }
         } else {
             scene.nodes[at].primitives = primitives;
         }
     }
-    for (number, tracks) in tracks.of_node {
-        match place_of[number as usize] {
-            Some(node) => scene.animations.push(ImportedAnimation { node, tracks: Arc::new(tracks) }),
-            None => ignored.note("animation of nodes outside the scene"),
+    for clip in clips {
+        let mut tracks = Vec::new();
+        for (number, of_node) in clip.of_node {
+            match place_of[number as usize] {
+                Some(node) => tracks.push(NodeClip { node, tracks: Arc::new(of_node) }),
+                None => ignored.note("animation of nodes outside the scene"),
+            }
         }
+        scene.animations.push(ImportedAnimation { name: clip.name, duration: clip.duration, tracks });
     }
-    scene.duration = tracks.duration;
     scene.meshes = geometry.meshes;
     scene.textures = textures.textures;
     scene.environment = environment(&document);

@@ -1,33 +1,18 @@
 //! glTF materials -> Blinn-Phong, mirror, glass; the formulas are in the docs of [`crate::gltf`].
 
 use super::{
-    document::{MaterialDef, TextureInfo, extension, own_extras},
+    document::{MaterialDef, NormalTextureInfo, TextureInfo, extension, own_extras},
     error::GltfError,
+    geometry::Reads,
     report::Ignored,
-    textures::Textures,
+    textures::{Textures, uv_set},
 };
-use crate::material::Material;
+pub use crate::material::{MAX_SHININESS, roughness_from_shininess, shininess_from_roughness};
+use crate::material::{Material, POLISHED, Physical, PhysicalPlace};
 use glam::Vec3;
 use serde::Deserialize;
 use serde_json::{Map, Value};
-
-/// Largest Blinn-Phong exponent that an import makes (r = 0.105): beyond it highlights are smaller than pixels.
-pub const MAX_SHININESS: f32 = 16384.0;
-/// Perceptual roughness up to which a surface counts as polished.
-pub(super) const POLISHED: f32 = 0.01;
-
-/// Blinn-Phong exponent for glTF's perceptual roughness `r` in (0, 1]: 2/r⁴ − 2, in [0, [`MAX_SHININESS`]].
-///
-/// Source: Walter et al., "Microfacet Models for Refraction through Rough Surfaces", EGSR 2007 (α = 2/α_b² − 2, α_b = r²).
-pub fn shininess_from_roughness(r: f32) -> f32 {
-    let alpha = r * r;
-    (2.0 / (alpha * alpha).max(1e-12) - 2.0).clamp(0.0, MAX_SHININESS)
-}
-
-/// Perceptual roughness for a Blinn-Phong exponent: the inverse of [`shininess_from_roughness`].
-pub fn roughness_from_shininess(shininess: f32) -> f32 {
-    (2.0 / (shininess.max(0.0) + 2.0)).sqrt().sqrt()
-}
+use std::collections::BTreeSet;
 
 /// Reflectance of a dielectric at normal incidence, ((ior − 1)/(ior + 1))².
 pub(super) fn f0(ior: f32) -> f32 {
@@ -81,7 +66,7 @@ impl Default for SpecularGlossiness {
 #[serde(rename_all = "camelCase", default)]
 struct Transmission {
     transmission_factor: f32,
-    transmission_texture: Option<Value>,
+    transmission_texture: Option<TextureInfo>,
 }
 
 #[derive(Default, Deserialize)]
@@ -123,6 +108,7 @@ pub(super) fn translate(
         Ok(Vec3::new(unit(what, v[0])?, unit(what, v[1])?, unit(what, v[2])?))
     };
     let mut m = Material::default();
+    textures.uv_sets = reads(def).uv_sets;
     let [red, green, blue, _] = pbr.base_color_factor.unwrap_or([1.0; 4]);
     m.base_color = unit3("baseColorFactor", [red, green, blue])?;
     if let Some(info) = &pbr.base_color_texture {
@@ -130,12 +116,15 @@ pub(super) fn translate(
     }
     let mut metallic = unit("metallicFactor", pbr.metallic_factor.unwrap_or(1.0))?;
     let mut roughness = unit("roughnessFactor", pbr.roughness_factor.unwrap_or(1.0))?;
+    let factors = [metallic, roughness];
+    let mut metallic_roughness_texture = None;
     if let Some(info) = &pbr.metallic_roughness_texture
-        && let Some([g, b]) = textures.mean_roughness_metallic(info, place, ignored)?
+        && let Some(r) = textures.reference(info, false, place, ignored)?
     {
+        let [_, g, b] = textures.mean(r.texture);
         roughness *= g;
         metallic *= b;
-        ignored.note("metallicRoughnessTexture (its mean is used)");
+        metallic_roughness_texture = Some(r);
     }
 
     // Emission.
@@ -158,10 +147,12 @@ pub(super) fn translate(
         ignored.note(format!("index of refraction {ior} (1.5 is used)"));
     }
     let glass: Transmission = extension(ext, "KHR_materials_transmission", place)?.unwrap_or_default();
-    let transmission = unit("transmissionFactor", glass.transmission_factor)?;
-    if glass.transmission_texture.is_some() {
-        ignored.note("transmissionTexture");
-    }
+    let transmission_factor = unit("transmissionFactor", glass.transmission_factor)?;
+    let transmission_texture = match &glass.transmission_texture {
+        Some(info) if transmission_factor > 0.0 => textures.reference(info, false, place, ignored)?,
+        _ => None,
+    };
+    let transmission = transmission_factor * transmission_texture.map_or(1.0, |r| textures.mean(r.texture)[0]);
     if transmission > 0.0 && roughness > POLISHED {
         ignored.note("roughness of transmission (glass is smooth)");
     }
@@ -180,22 +171,25 @@ pub(super) fn translate(
     if specular.specular_texture.is_some() || specular.specular_color_texture.is_some() {
         ignored.note("textures of KHR_materials_specular");
     }
-    if roughness <= POLISHED {
-        m.mirror = metallic;
-        m.transmission = transmission;
-    } else {
-        let tint = Vec3::from(specular.specular_color_factor);
-        if !tint.is_finite() || !specular.specular_factor.is_finite() {
-            return Err(GltfError::invalid(place, "KHR_materials_specular is not finite"));
-        }
-        let dielectric =
-            (tint * (f0(m.ior) * specular.specular_factor)).clamp(Vec3::ZERO, Vec3::ONE) * (1.0 - roughness);
-        m.specular = dielectric.lerp(m.base_color, metallic);
-        m.shininess = shininess_from_roughness(roughness);
-        m.transmission = transmission * (1.0 - metallic);
-        // Material::matte_weight takes 1 - (1-m) t off; what must remain is (1-m)(1-t).
-        let matte = 1.0 - m.transmission;
-        m.diffuse = if matte > 0.0 { ((1.0 - metallic) * (1.0 - transmission) / matte).clamp(0.0, 1.0) } else { 0.0 };
+    let tint = Vec3::from(specular.specular_color_factor);
+    if !tint.is_finite() || !specular.specular_factor.is_finite() {
+        return Err(GltfError::invalid(place, "KHR_materials_specular is not finite"));
+    }
+    let mut physical = Physical {
+        metallic: factors[0],
+        roughness: factors[1],
+        metallic_roughness_texture,
+        reflectance: (tint * (f0(m.ior) * specular.specular_factor)).clamp(Vec3::ZERO, Vec3::ONE),
+        transmission: transmission_factor,
+        transmission_texture,
+        blended: false,
+    };
+    let look = physical.look(m.base_color, PhysicalPlace { metallic, roughness, transmission, coverage: 1.0 });
+    (m.diffuse, m.specular, m.shininess) = (look.diffuse, look.specular, look.shininess);
+    (m.mirror, m.transmission) = (look.mirror, look.transmission);
+    let colored_metal = metallic > 0.0 && roughness > POLISHED && m.base_color_texture.is_some();
+    if metallic_roughness_texture.is_some() || transmission_texture.is_some() || colored_metal {
+        m.physical = Some(physical);
     }
     if let Some(old) = extension::<SpecularGlossiness>(ext, "KHR_materials_pbrSpecularGlossiness", place)? {
         let [red, green, blue, _] = old.diffuse_factor;
@@ -205,10 +199,17 @@ pub(super) fn translate(
             None => None,
         };
         let roughness = 1.0 - unit("glossinessFactor", old.glossiness_factor)?;
-        let specular = unit3("specularFactor", old.specular_factor)?;
-        (m.mirror, m.diffuse) = (0.0, 1.0);
-        m.shininess = shininess_from_roughness(roughness);
-        m.specular = specular * if roughness <= POLISHED { 0.0 } else { 1.0 - roughness };
+        physical = Physical {
+            metallic: 0.0,
+            roughness,
+            reflectance: unit3("specularFactor", old.specular_factor)?,
+            metallic_roughness_texture: None,
+            ..physical
+        };
+        let place = PhysicalPlace { metallic: 0.0, roughness, transmission: 0.0, coverage: 1.0 };
+        let look = physical.look(m.base_color, place);
+        (m.diffuse, m.specular, m.shininess) = (look.diffuse, look.specular, look.shininess);
+        (m.mirror, m.physical) = (0.0, None);
         if old.specular_glossiness_texture.is_some() {
             ignored.note("specularGlossinessTexture");
         }
@@ -216,14 +217,13 @@ pub(super) fn translate(
     m.unlit = ext.as_ref().is_some_and(|e| e.contains_key("KHR_materials_unlit"));
 
     if let Some(n) = &def.normal_texture {
-        let info = TextureInfo { index: n.index, tex_coord: n.tex_coord, extensions: n.extensions.clone() };
-        m.normal_texture = textures.reference(&info, false, place, ignored)?;
+        m.normal_texture = textures.reference(&n.info(), false, place, ignored)?;
         m.normal_scale = n.scale.unwrap_or(1.0);
     }
     if def.occlusion_texture.is_some() {
         ignored.note("occlusionTexture");
     }
-    coverage(&mut m, def, place, textures, ignored)?;
+    coverage(&mut m, def, &physical, place, textures, ignored)?;
     if let Some(own) = own_extras(&def.extras) {
         apply_extras(&mut m, own);
     }
@@ -233,6 +233,35 @@ pub(super) fn translate(
     }
 }
 
+/// What a material reads of the vertices: its texture coordinate sets in ascending order (two at most; the first two of the
+/// file where these are among them), and whether it has a normal map.
+pub(super) fn reads(def: &MaterialDef) -> Reads {
+    let normal = def.normal_texture.as_ref().map(NormalTextureInfo::info);
+    let pbr = &def.pbr_metallic_roughness;
+    let inner = |extension: &str, name: &str| {
+        let value = def.extensions.as_ref().and_then(|e| e.get(extension)).and_then(|e| e.get(name));
+        value.and_then(|v| TextureInfo::deserialize(v).ok())
+    };
+    let glass = inner("KHR_materials_transmission", "transmissionTexture");
+    let diffuse = inner("KHR_materials_pbrSpecularGlossiness", "diffuseTexture");
+    let all = [
+        pbr.base_color_texture.as_ref(),
+        pbr.metallic_roughness_texture.as_ref(),
+        def.emissive_texture.as_ref(),
+        normal.as_ref(),
+        glass.as_ref(),
+        diffuse.as_ref(),
+    ];
+    let sets: BTreeSet<u32> = all.into_iter().flatten().map(uv_set).collect();
+    let uv_sets = if sets.iter().all(|s| *s < 2) {
+        [0, 1]
+    } else {
+        let mut sets = sets.into_iter();
+        [sets.next().unwrap_or(0), sets.next().unwrap_or(u32::MAX)]
+    };
+    Reads { uv_sets, tangents: normal.is_some() }
+}
+
 /// Share of texels of middling alpha up to which a blended texture counts as cut out.
 const CUT_OUT: f32 = 0.25;
 
@@ -240,6 +269,7 @@ const CUT_OUT: f32 = 0.25;
 fn coverage(
     m: &mut Material,
     def: &MaterialDef,
+    physical: &Physical,
     place: &str,
     textures: &Textures,
     ignored: &mut Ignored,
@@ -269,10 +299,15 @@ fn coverage(
                 (m.alpha, m.alpha_cutoff) = (1.0, 0.5);
                 return Ok(());
             }
-            if mean < 1.0 {
-                ignored.note("alphaMode BLEND by texture (its mean is used)");
+            if m.transmission == 0.0 && (mean < 1.0 || m.physical.is_some()) {
+                // From place to place; the material's own fields stand for the mean.
+                let Material { base_color, emissive, .. } = *m;
+                cover(m, alpha * mean);
+                (m.base_color, m.emissive, m.alpha, m.thin) = (base_color, emissive, alpha, true);
+                m.physical = Some(Physical { blended: true, ..*physical });
+            } else {
+                cover(m, alpha);
             }
-            cover(m, alpha * mean);
         }
         Some(other) => ignored.note(format!("alphaMode {other:?} (opaque is used)")),
     }
@@ -322,6 +357,9 @@ fn apply_extras(m: &mut Material, own: &Map<String, Value>) {
         if let Some(v) = color(name) {
             *field = v;
         }
+    }
+    if ["diffuse", "specular", "shininess", "mirror", "transmission"].iter().any(|name| own.contains_key(*name)) {
+        m.physical = None;
     }
     if own.get("thin").and_then(Value::as_bool) == Some(true) {
         (m.thin, m.alpha, m.alpha_cutoff) = (true, 1.0, 0.0);

@@ -2,29 +2,38 @@
 //!
 //! **In**: [`load_gltf`] gives an [`ImportedScene`] (flat arrays), which [`ImportedScene::spawn`] turns into entities or
 //! [`ImportedScene::to_render_scene`] into a `RenderScene`. Read are nodes, meshes (lists, strips, fans; sparse,
-//! interleaved, normalised, quantised), morph targets and skins, the first animation of nodes, weights and skins ([`crate::animation`]), base-colour and emissive textures,
-//! samplers, normal maps, alpha masks, cameras, and the extensions `KHR_lights_punctual`, `KHR_materials_{transmission, ior, volume, specular,
-//! emissive_strength, unlit, pbrSpecularGlossiness}`, `KHR_mesh_quantization`, `KHR_texture_transform`. Shading is two-sided whatever
-//! `doubleSided` says; thickness of volumes is ignored, the geometry is. All else is listed in [`ImportReport::ignored`],
-//! also an image that is missing or broken; an extension that a file requires and that is not supported is an error by
-//! name, unless it only changes the look of a surface (clearcoat, sheen and the like).
+//! interleaved, normalised, quantised), morph targets and skins, all animations of nodes, weights and skins
+//! ([`ImportedScene::play`] chooses one), base-colour, metallic-roughness, emissive and transmission textures with their
+//! samplers, normal maps with or without `TANGENT`, alpha masks and blending, vertex colours, cameras, and the extensions
+//! `KHR_lights_punctual`, `KHR_materials_{transmission, ior, volume, specular, emissive_strength, unlit,
+//! pbrSpecularGlossiness}`, `KHR_mesh_quantization`, `KHR_texture_transform`, `EXT_mesh_gpu_instancing`. A material's textures
+//! may use any two coordinate sets of the mesh. Shading is two-sided whatever `doubleSided` says; thickness of volumes is
+//! ignored, the geometry is. All else is listed in [`ImportReport::ignored`], also an image that is missing or broken; an
+//! extension that a file requires and that is not supported is an error by name, unless it only changes the look of a
+//! surface (clearcoat, sheen and the like).
 //!
 //! # Materials
 //! With metallic m, roughness r, base colour c and F0 = ((ior − 1)/(ior + 1))² · specularFactor · specularColorFactor:
 //!
 //! * r ≤ 0.01 counts as polished: mirror share m tinted by c, the rest (1 − m) Lambert, no highlight;
+//! * from there to r = 0.105 the mirror fades: its share is m p with p = (0.105 − r)/0.095, and k_s below is times 1 − p;
 //! * else diffuse k_d = 1 − m, k_s = lerp(F0 (1 − r), c, m), and the exponent whose Blinn-Phong lobe is as wide as the
 //!   microfacet one, [`shininess_from_roughness`]. A dielectric of roughness 1 is so pure Lambert, and a metal of roughness
 //!   1 (glTF's default) looks nearly so, with albedo c;
 //! * transmission t makes smooth glass of the dielectric share (1 − m) t, whatever r is; closed meshes refract with or
 //!   without a volume;
-//! * a metallic-roughness texture counts by its mean;
-//! * `MASK` cuts holes per texel, for rays, moments and the raster alike;
-//! * `BLEND` is thin transmission: a share 1 − alpha of the light passes straight on, without refraction or tint, the rest
-//!   meets the surface. Alpha is the factor's times the texture's mean; a texture of hardly any middling alpha is cut out at
-//!   one half instead, which keeps its shape. Blended surfaces throw whole shadows where glass does;
-//! * normal maps turn the interpolated normal in the frame that each triangle's texture coordinates span (`TANGENT` is not
-//!   read: the two differ by the smoothing of tangents);
+//! * textures of metalness, roughness, transmission and colour count place by place
+//!   ([`Material::physical`](crate::Material::physical)); the material's own fields stand for their mean;
+//! * `MASK` cuts holes per texel, for rays, moments and the raster alike, from the image itself at any distance;
+//! * `BLEND` is thin transmission, place by place: a share 1 − alpha of the light passes straight on, without refraction or
+//!   tint, the rest meets the surface. Alpha is the factor's times the texture's times the vertex's. A texture of hardly any
+//!   middling alpha is cut out at one half instead, which keeps its shape and its shadow. Blended surfaces throw whole
+//!   shadows where glass does;
+//! * normal maps turn the interpolated normal in the frame of `TANGENT`; without it in the frame that each triangle's texture
+//!   coordinates span;
+//! * samplers: what the camera sees, directly or by mirror and glass, is read from the smaller copy of the image whose texels
+//!   have the pixel's area, on both lanes; without a `minFilter` copies are blended. VPLs, emission as a source of light and
+//!   the path tracer read the image itself;
 //! * `KHR_materials_pbrSpecularGlossiness`: c is the diffuse colour, r = 1 − glossiness, k_d = 1, k_s = specular (1 − r).
 //!
 //! **Out**: [`export_glb`] writes the posed frame so that other renderers can draw it and [`load_gltf`] gets back the same
@@ -59,5 +68,5 @@ pub use import::{load_gltf, load_gltf_bytes};
 pub use limits::ImportLimits;
 pub use materials::{MAX_SHININESS, roughness_from_shininess, shininess_from_roughness};
 pub use report::ImportReport;
-pub use scene::{ImportedAnimation, ImportedDeformation, ImportedNode, ImportedPrimitive, ImportedScene};
+pub use scene::{ImportedAnimation, ImportedDeformation, ImportedNode, ImportedPrimitive, ImportedScene, NodeClip};
 pub use spawn::Spawned;

@@ -1,12 +1,16 @@
 //! The node graph: strict trees of bounded depth, and poses that bevy's `Transform` can hold.
 
 use super::{
-    document::{Document, Node, item},
+    accessor::Accessor,
+    buffers::Buffers,
+    document::{Document, Node, extension, item},
     error::{GltfError, within},
     limits::ImportLimits,
 };
 use bevy_transform::components::Transform;
 use glam::{Affine3, DMat3, DQuat, DVec3, Mat3, Quat, Vec3};
+use serde::Deserialize;
+use std::collections::BTreeMap;
 
 /// Nodes of the shown scene, parents before children: (number in the file, place of the parent in this list).
 pub(super) fn order(document: &Document, limits: &ImportLimits) -> Result<Vec<(u32, Option<usize>)>, GltfError> {
@@ -167,6 +171,53 @@ fn singular_values(m: DMat3) -> (DMat3, DVec3, DMat3) {
     let u = DMat3::from_cols(x, y, x.cross(y));
     let s = DVec3::new(u.x_axis.dot(m * v.x_axis), u.y_axis.dot(m * v.y_axis), u.z_axis.dot(m * v.z_axis));
     (u, s, v)
+}
+
+#[derive(Deserialize)]
+struct Instancing {
+    #[serde(default)]
+    attributes: BTreeMap<String, u32>,
+}
+
+/// Poses of the copies of a node's mesh relative to the node (`EXT_mesh_gpu_instancing`); `None` where it is drawn once.
+pub(super) fn copies(
+    document: &Document,
+    buffers: &Buffers,
+    node: &Node,
+    limits: &ImportLimits,
+    place: &str,
+) -> Result<Option<Vec<Transform>>, GltfError> {
+    let Some(Instancing { attributes }) = extension(&node.extensions, "EXT_mesh_gpu_instancing", place)? else {
+        return Ok(None);
+    };
+    let open = |name: &str, components: usize| -> Result<Option<Accessor>, GltfError> {
+        let Some(&index) = attributes.get(name) else { return Ok(None) };
+        let a = Accessor::open(document, buffers, index, place)?;
+        within("instances", a.count as u64, limits.instances)?;
+        if a.components != components {
+            return Err(GltfError::invalid(place, format!("{name} of its copies has {} components", a.components)));
+        }
+        Ok(Some(a))
+    };
+    let (t, r, s) = (open("TRANSLATION", 3)?, open("ROTATION", 4)?, open("SCALE", 3)?);
+    let counts: Vec<usize> = [&t, &r, &s].into_iter().flatten().map(|a| a.count).collect();
+    let Some(&count) = counts.first() else { return Ok(None) };
+    if counts.iter().any(|c| *c != count) {
+        return Err(GltfError::invalid(place, format!("attributes of its copies have {counts:?} elements")));
+    }
+    let mut out = Vec::with_capacity(count);
+    for i in 0..count {
+        let translation = t.as_ref().map_or(Vec3::ZERO, |a| a.read(i, [0.0; 3]).into());
+        let rotation = r.as_ref().map_or(Quat::IDENTITY, |a| Quat::from_array(a.read(i, [0.0; 4])));
+        let scale = s.as_ref().map_or(Vec3::ONE, |a| a.read(i, [0.0; 3]).into());
+        if !(translation.is_finite() && rotation.is_finite() && scale.is_finite()) {
+            return Err(GltfError::invalid(place, format!("the pose of copy {i} is not finite")));
+        }
+        let length = rotation.length();
+        let rotation = if length > 0.0 { Quat::from_vec4(glam::Vec4::from(rotation) / length) } else { Quat::IDENTITY };
+        out.push(Transform { translation, rotation, scale });
+    }
+    Ok(Some(out))
 }
 
 #[cfg(test)]

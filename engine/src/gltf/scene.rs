@@ -48,13 +48,24 @@ pub struct ImportedNode {
     pub camera: Option<CameraProjection>,
 }
 
-/// What moves one node.
+/// What an animation does to one node.
 #[derive(Clone, Debug, PartialEq)]
-pub struct ImportedAnimation {
+pub struct NodeClip {
     /// Index into [`ImportedScene::nodes`].
     pub node: usize,
     /// Its tracks.
     pub tracks: Arc<NodeTracks>,
+}
+
+/// One animation of a file.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct ImportedAnimation {
+    /// Name in the file.
+    pub name: Option<String>,
+    /// Seconds after which it begins anew.
+    pub duration: f32,
+    /// What it moves.
+    pub tracks: Vec<NodeClip>,
 }
 
 /// A mesh whose shape an animation changes.
@@ -83,11 +94,9 @@ pub struct ImportedScene {
     pub textures: Vec<Arc<Texture>>,
     /// Nodes, parents before children.
     pub nodes: Vec<ImportedNode>,
-    /// The file's first animation.
+    /// The file's animations, in its order. [`ImportedScene::spawn`] plays the first, [`ImportedScene::play`] any.
     pub animations: Vec<ImportedAnimation>,
-    /// Seconds after which it begins anew.
-    pub duration: f32,
-    /// Meshes that it changes.
+    /// Meshes that they change.
     pub deformations: Vec<ImportedDeformation>,
     /// Background and ambient light, where the file is one of our own exports.
     pub environment: Option<Environment>,
@@ -96,6 +105,11 @@ pub struct ImportedScene {
 }
 
 impl ImportedScene {
+    /// Number of the first animation of that name.
+    pub fn animation_named(&self, name: &str) -> Option<usize> {
+        self.animations.iter().position(|a| a.name.as_deref() == Some(name))
+    }
+
     /// World pose of every node.
     pub fn world_from_node(&self) -> Vec<Affine3> {
         let mut out: Vec<Affine3> = Vec::with_capacity(self.nodes.len());

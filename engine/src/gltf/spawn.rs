@@ -1,6 +1,6 @@
 //! An imported scene as entities.
 
-use super::scene::{ImportedScene, invertible};
+use super::scene::{ImportedAnimation, ImportedScene, invertible};
 use crate::{
     animation::{Deformer, MorphWeights, NodeAnimation},
     assets::{Assets, MaterialId, MeshId},
@@ -27,8 +27,9 @@ impl ImportedScene {
     /// Adds the assets to [`Assets`] and one entity a node, as children of a new root. A node's first mesh and its light or
     /// camera live on its own entity, further meshes on children of it. Stable ids count up in node order from
     /// `first_stable_id`: meshes, then light, then camera of each node. Meshes whose pose has no volume are spawned
-    /// [`Hidden`]. An environment of the file becomes the world's. An
-    /// animation plays from frame 0 on, over and over; [`Self::to_render_scene`] shows the pose of the file instead.
+    /// [`Hidden`]. An environment of the file becomes the world's. The
+    /// first animation plays from frame 0 on, over and over: [`Self::play`] chooses another or none;
+    /// [`Self::to_render_scene`] shows the pose of the file instead.
     ///
     /// # Panics
     /// When a node was given a parent, mesh or material that is not in the scene.
@@ -47,7 +48,7 @@ impl ImportedScene {
             world.insert_resource(SceneEnvironment(environment));
         }
 
-        let animated = !self.animations.is_empty();
+        let animated = self.animations.iter().any(|a| !a.tracks.is_empty());
         let mut drawn_by = vec![None; self.meshes.len()];
         let mut next_stable_id = first_stable_id;
         let mut id = || {
@@ -88,12 +89,14 @@ impl ImportedScene {
                 camera.get_or_insert(target);
             }
         }
-        self.spawn_animation(world, &nodes, &drawn_by, first_mesh);
-        Spawned { root, nodes, camera, next_stable_id }
+        self.spawn_deformations(world, &nodes, &drawn_by, first_mesh);
+        let spawned = Spawned { root, nodes, camera, next_stable_id };
+        self.play(world, &spawned, (!self.animations.is_empty()).then_some(0));
+        spawned
     }
 
-    /// Sets everything that moves going, at its pose of time 0.
-    fn spawn_animation(&self, world: &mut World, nodes: &[Entity], drawn_by: &[Option<Entity>], first_mesh: usize) {
+    /// Makes every mesh that an animation changes ready to follow.
+    fn spawn_deformations(&self, world: &mut World, nodes: &[Entity], drawn_by: &[Option<Entity>], first_mesh: usize) {
         for d in &self.deformations {
             let Some(entity) = drawn_by[d.mesh] else { continue };
             world.entity_mut(nodes[d.node]).insert(MorphWeights(d.weights.clone()));
@@ -105,15 +108,42 @@ impl ImportedScene {
                 posed: None,
             });
         }
-        for a in &self.animations {
-            let mut entity = world.entity_mut(nodes[a.node]);
+    }
+
+    /// Plays one of [`Self::animations`] on the entities of an earlier [`Self::spawn`], which then stand at its pose of time
+    /// 0; `None` stops. What no animation moves any longer goes back to the pose of the file.
+    ///
+    /// Its time is the clock's: at step 0 it begins.
+    ///
+    /// # Panics
+    /// When there is no such animation, or an entity of `spawned` is gone.
+    pub fn play(&self, world: &mut World, spawned: &Spawned, animation: Option<usize>) {
+        let moved = |a: &ImportedAnimation| a.tracks.iter().map(|t| t.node).collect::<Vec<_>>();
+        let mut touched: Vec<usize> = self.animations.iter().flat_map(moved).collect();
+        touched.sort_unstable();
+        touched.dedup();
+        for node in touched {
+            let mut entity = world.entity_mut(spawned.nodes[node]);
+            // A node that was never moved is where the host has put it.
+            if entity.take::<NodeAnimation>().is_some()
+                && let Some(mut transform) = entity.get_mut::<Transform>()
+            {
+                *transform = self.nodes[node].transform;
+            }
+        }
+        for d in &self.deformations {
+            world.entity_mut(spawned.nodes[d.node]).insert(MorphWeights(d.weights.clone()));
+        }
+        let Some(animation) = animation.map(|i| &self.animations[i]) else { return };
+        for a in &animation.tracks {
+            let mut entity = world.entity_mut(spawned.nodes[a.node]);
             if let Some(mut transform) = entity.get_mut::<Transform>() {
                 a.tracks.pose(0.0, &mut transform);
             }
             if let Some(track) = &a.tracks.weights {
                 entity.insert(MorphWeights((0..track.width).map(|i| track.sample(0.0, i)).collect()));
             }
-            entity.insert(NodeAnimation { tracks: a.tracks.clone(), duration: self.duration });
+            entity.insert(NodeAnimation { tracks: a.tracks.clone(), duration: animation.duration });
         }
     }
 }

@@ -8,7 +8,7 @@ use super::{
     report::Ignored,
 };
 use crate::{
-    material::{TextureRef, Wrap},
+    material::{Mip, TextureRef, Wrap},
     math,
     texture::Texture,
 };
@@ -25,22 +25,30 @@ pub(super) struct Textures<'a> {
     pixels: u64,
     /// By image and whether it is read as sRGB.
     known: BTreeMap<(u32, bool), u32>,
-    means: BTreeMap<u32, [f32; 2]>,
+    means: BTreeMap<u32, [f32; 3]>,
     pub textures: Vec<Arc<Texture>>,
+    /// Numbers of the texture coordinate sets that a mesh of the material at hand keeps.
+    pub uv_sets: [u32; 2],
+}
+
+/// Set that a texture uses.
+pub(super) fn uv_set(info: &TextureInfo) -> u32 {
+    let transform = info.extensions.as_ref().and_then(|e| e.get("KHR_texture_transform"));
+    let over = transform.and_then(|t| t.get("texCoord")).and_then(serde_json::Value::as_u64);
+    over.and_then(|n| u32::try_from(n).ok()).unwrap_or(info.tex_coord)
 }
 
 #[derive(Deserialize)]
-#[serde(default, rename_all = "camelCase")]
+#[serde(default)]
 struct Transform {
     offset: [f32; 2],
     rotation: f32,
     scale: [f32; 2],
-    tex_coord: Option<u32>,
 }
 
 impl Default for Transform {
     fn default() -> Self {
-        Self { offset: [0.0; 2], rotation: 0.0, scale: [1.0; 2], tex_coord: None }
+        Self { offset: [0.0; 2], rotation: 0.0, scale: [1.0; 2] }
     }
 }
 
@@ -52,7 +60,7 @@ impl<'a> Textures<'a> {
         source: &'a mut Source,
     ) -> Self {
         let (known, means) = Default::default();
-        Self { document, buffers, limits, source, pixels: 0, known, means, textures: Vec::new() }
+        Self { document, buffers, limits, source, pixels: 0, known, means, textures: Vec::new(), uv_sets: [0, 1] }
     }
 
     /// A texture as a material uses it; `None` where it cannot be shown, which is noted.
@@ -65,11 +73,11 @@ impl<'a> Textures<'a> {
         ignored: &mut Ignored,
     ) -> Result<Option<TextureRef>, GltfError> {
         let transform: Transform = extension(&info.extensions, "KHR_texture_transform", place)?.unwrap_or_default();
-        let uv_set = transform.tex_coord.unwrap_or(info.tex_coord);
-        if uv_set > 1 {
-            ignored.note(format!("textures that use TEXCOORD_{uv_set}"));
+        let set = uv_set(info);
+        let Some(uv_set) = self.uv_sets.iter().position(|s| *s == set).map(|at| at as u32) else {
+            ignored.note(format!("textures that use TEXCOORD_{set}, a third set of their material"));
             return Ok(None);
-        }
+        };
         let Some(image) = self.image_of(info, place, ignored)? else {
             return Ok(None);
         };
@@ -94,15 +102,22 @@ impl<'a> Textures<'a> {
         if let Some(sampler) = def.sampler {
             let s = item(&self.document.samplers, sampler, "sampler", &format!("texture {}", info.index))?;
             out.wrap = [wrap(s.wrap_s, sampler)?, wrap(s.wrap_t, sampler)?];
+            let bad = |what: &str, code: u32| {
+                Err(GltfError::invalid(format!("sampler {sampler}"), format!("{what} {code} does not exist")))
+            };
             out.nearest = match s.mag_filter {
                 Some(9728) => true,
                 None | Some(9729) => false,
-                Some(other) => {
-                    return Err(GltfError::invalid(
-                        format!("sampler {sampler}"),
-                        format!("magFilter {other} does not exist"),
-                    ));
-                }
+                Some(other) => return bad("magFilter", other),
+            };
+            (out.nearest_min, out.mip) = match s.min_filter {
+                Some(9728) => (true, Mip::None),
+                Some(9729) => (false, Mip::None),
+                Some(9984) => (true, Mip::Nearest),
+                Some(9985) => (false, Mip::Nearest),
+                Some(9986) => (true, Mip::Linear),
+                None | Some(9987) => (false, Mip::Linear),
+                Some(other) => return bad("minFilter", other),
             };
         }
         let (sin, cos) = math::sin_cos(transform.rotation);
@@ -134,31 +149,20 @@ impl<'a> Textures<'a> {
         ((sum as f64 / (255.0 * texels.len() as f64)) as f32, between as f32 / texels.len() as f32)
     }
 
-    /// Mean of (G, B), linear, over a data texture: roughness and metalness of a metallic-roughness image.
-    pub fn mean_roughness_metallic(
-        &mut self,
-        info: &TextureInfo,
-        place: &str,
-        ignored: &mut Ignored,
-    ) -> Result<Option<[f32; 2]>, GltfError> {
-        let Some(image) = self.image_of(info, place, ignored)? else {
-            return Ok(None);
-        };
-        if let Some(&mean) = self.means.get(&image) {
-            return Ok(Some(mean));
+    /// Mean of (R, G, B), each in [0, 1], over the codes of a texture.
+    pub fn mean(&mut self, texture: u32) -> [f32; 3] {
+        if let Some(&mean) = self.means.get(&texture) {
+            return mean;
         }
-        let Some(pixels) = self.decode_or_note(image, ignored)? else {
-            return Ok(None);
-        };
-        let mut sum = [0_u64; 2];
-        for p in pixels.pixels() {
-            sum[0] += u64::from(p.0[1]);
-            sum[1] += u64::from(p.0[2]);
+        let texels = self.textures[texture as usize].texels();
+        let mut sum = [0_u64; 3];
+        for t in texels {
+            (0..3).for_each(|c| sum[c] += u64::from(t[c]));
         }
-        let count = 255.0 * (u64::from(pixels.width()) * u64::from(pixels.height())) as f64;
+        let count = 255.0 * texels.len() as f64;
         let mean = sum.map(|s| (s as f64 / count) as f32);
-        self.means.insert(image, mean);
-        Ok(Some(mean))
+        self.means.insert(texture, mean);
+        mean
     }
 
     fn image_of(&self, info: &TextureInfo, place: &str, ignored: &mut Ignored) -> Result<Option<u32>, GltfError> {

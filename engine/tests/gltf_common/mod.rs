@@ -90,6 +90,7 @@ pub fn cube() -> MeshData {
         colors: positions.iter().map(|p| (*p + 0.5).extend(0.75)).collect(),
         positions,
         triangles,
+        ..Default::default()
     }
 }
 

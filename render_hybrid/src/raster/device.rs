@@ -232,20 +232,29 @@ pub(crate) struct Scope {
 impl Scope {
     /// Runs `work` and turns every error of the device into [`RenderError::Gpu`].
     pub fn scoped<T>(&self, work: impl FnOnce() -> Result<T, RenderError>) -> Result<T, RenderError> {
+        self.run(RenderError::Gpu, work)
+    }
+
+    /// [`Self::scoped`] for work on a view of the host's: what is wrong with its use is [`RenderError::View`], and the device
+    /// is not to blame.
+    pub fn scoped_view<T>(&self, work: impl FnOnce() -> Result<T, RenderError>) -> Result<T, RenderError> {
+        self.run(RenderError::View, work)
+    }
+
+    fn run<T>(
+        &self,
+        misuse: fn(String) -> RenderError,
+        work: impl FnOnce() -> Result<T, RenderError>,
+    ) -> Result<T, RenderError> {
         let memory = self.device.push_error_scope(wgpu::ErrorFilter::OutOfMemory);
         let internal = self.device.push_error_scope(wgpu::ErrorFilter::Internal);
         let validation = self.device.push_error_scope(wgpu::ErrorFilter::Validation);
         let result = work();
         // A lost device raises no errors: its callback, which polling calls, is the only sign.
         let polled = self.device.poll(wgpu::PollType::Poll);
-        let mut errors = [
-            pollster::block_on(validation.pop()),
-            pollster::block_on(internal.pop()),
-            pollster::block_on(memory.pop()),
-        ]
-        .into_iter()
-        .flatten();
-        if let Some(error) = errors.next_back() {
+        let misused = pollster::block_on(validation.pop());
+        let failed = [pollster::block_on(internal.pop()), pollster::block_on(memory.pop())];
+        if let Some(error) = failed.into_iter().flatten().next_back() {
             return Err(RenderError::Gpu(first_line(&error.to_string())));
         }
         if let Some(message) = self.fault.lock().unwrap_or_else(|e| e.into_inner()).clone() {
@@ -253,6 +262,9 @@ impl Scope {
         }
         if let Err(error) = polled {
             return Err(RenderError::Gpu(error.to_string()));
+        }
+        if let Some(error) = misused {
+            return Err(misuse(first_line(&error.to_string())));
         }
         result
     }

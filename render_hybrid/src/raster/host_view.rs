@@ -33,7 +33,7 @@ impl HostView {
         exposure_ev: f32,
     ) -> Result<u64, RenderError> {
         let guard = self.gpu.handles();
-        guard.scoped(|| self.draw_inner(image, target, format, exposure_ev))
+        guard.scoped_view(|| self.draw_inner(image, target, format, exposure_ev))
     }
 
     fn draw_inner(

@@ -3,7 +3,7 @@
 
 use bytemuck::{Pod, Zeroable};
 use catoptra_engine::{
-    Light, LightKind, Material, Mesh, Projection, RenderScene, Texture, TextureRef,
+    Light, LightKind, Material, Mesh, Mip, Projection, RenderScene, Texture, TextureRef,
     glam::{Affine3, Mat3, Vec3},
 };
 
@@ -12,6 +12,11 @@ use crate::twin::{shadow::ShadowPlan, vpl::Vpl};
 pub(crate) const TEXTURE_NEAREST: u32 = 1;
 pub(crate) const TEXTURE_SRGB: u32 = 2;
 pub(crate) const TEXTURE_UV1: u32 = 4;
+pub(crate) const TEXTURE_NEAREST_MIN: u32 = 8;
+pub(crate) const TEXTURE_MIP_NEAREST: u32 = 16;
+pub(crate) const TEXTURE_MIP_LINEAR: u32 = 32;
+pub(crate) const PHYSICAL: u32 = 1;
+pub(crate) const PHYSICAL_BLENDED: u32 = 2;
 pub(crate) const NO_TEXTURE: u32 = u32::MAX;
 pub(crate) const LIGHT_POINT: u32 = 0;
 pub(crate) const LIGHT_SPOT: u32 = 1;
@@ -20,13 +25,16 @@ pub(crate) const VISIBILITY_NONE: u32 = 0;
 pub(crate) const VISIBILITY_MOMENTS: u32 = 1;
 pub(crate) const VISIBILITY_PLANES: u32 = 2;
 
-/// Numbers a vertex in the attribute heap: normal, two texture coordinate sets, colour, alpha.
-pub(crate) const ATTRIBUTE_STRIDE: u32 = 11;
+/// Numbers a vertex in the attribute heap: normal, two texture coordinate sets, colour, alpha, tangent and its
+/// handedness (0 without).
+pub(crate) const ATTRIBUTE_STRIDE: u32 = 15;
 pub(crate) const ATTRIBUTE_NORMAL: u32 = 0;
 pub(crate) const ATTRIBUTE_UV0: u32 = 3;
 pub(crate) const ATTRIBUTE_UV1: u32 = 5;
 pub(crate) const ATTRIBUTE_COLOR: u32 = 7;
 pub(crate) const ATTRIBUTE_ALPHA: u32 = 10;
+pub(crate) const ATTRIBUTE_TANGENT: u32 = 11;
+pub(crate) const ATTRIBUTE_HANDEDNESS: u32 = 14;
 
 /// What the layer pass unpacks from the G-buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -178,7 +186,10 @@ impl TextureRefData {
             wrap_v: r.wrap[1] as u32,
             flags: flag(r.nearest, TEXTURE_NEAREST)
                 | flag(texture.srgb(), TEXTURE_SRGB)
-                | flag(r.uv_set == 1, TEXTURE_UV1),
+                | flag(r.uv_set == 1, TEXTURE_UV1)
+                | flag(r.nearest_min, TEXTURE_NEAREST_MIN)
+                | flag(r.mip == Mip::Nearest, TEXTURE_MIP_NEAREST)
+                | flag(r.mip == Mip::Linear, TEXTURE_MIP_LINEAR),
         }
     }
 }
@@ -201,8 +212,16 @@ pub(crate) struct MaterialData {
     pub normal_texture: TextureRefData,
     pub normal_scale: f32,
     pub alpha: f32,
+    pub metallic: f32,
+    pub roughness: f32,
+    pub metallic_roughness_texture: TextureRefData,
+    pub transmission_texture: TextureRefData,
+    pub reflectance: Vec3,
+    pub physical: u32,
+    pub physical_transmission: f32,
     pub unused0: u32,
     pub unused1: u32,
+    pub unused2: u32,
 }
 
 impl MaterialData {
@@ -212,6 +231,7 @@ impl MaterialData {
             Some(r) => TextureRefData::new(r, &scene.textures[r.texture as usize], first_texel[r.texture as usize]),
             None => TextureRefData::NONE,
         };
+        let p = m.physical;
         Self {
             base_color: m.base_color,
             diffuse: m.diffuse,
@@ -228,8 +248,16 @@ impl MaterialData {
             normal_texture: texture(&m.normal_texture),
             normal_scale: m.normal_scale,
             alpha: m.alpha,
+            metallic: p.map_or(0.0, |p| p.metallic),
+            roughness: p.map_or(0.0, |p| p.roughness),
+            metallic_roughness_texture: texture(&p.and_then(|p| p.metallic_roughness_texture)),
+            transmission_texture: texture(&p.and_then(|p| p.transmission_texture)),
+            reflectance: p.map_or(Vec3::ZERO, |p| p.reflectance),
+            physical: p.map_or(0, |p| if p.blended { PHYSICAL | PHYSICAL_BLENDED } else { PHYSICAL }),
+            physical_transmission: p.map_or(0.0, |p| p.transmission),
             unused0: 0,
             unused1: 0,
+            unused2: 0,
         }
     }
 }
@@ -344,6 +372,7 @@ pub(crate) fn attributes(mesh: &Mesh) -> Vec<f32> {
         out.extend(mesh.uvs1().get(i).copied().unwrap_or_default().to_array().map(finite));
         out.extend(mesh.colors().get(i).map_or(Vec3::ONE, |c| c.truncate()).to_array().map(finite));
         out.push(finite(mesh.colors().get(i).map_or(1.0, |c| c.w)));
+        out.extend(mesh.tangents().get(i).map_or([0.0; 4], |t| t.to_array().map(finite)));
     }
     out
 }
@@ -445,8 +474,16 @@ mod tests {
             normal_texture,
             normal_scale,
             alpha,
+            metallic,
+            roughness,
+            metallic_roughness_texture,
+            transmission_texture,
+            reflectance,
+            physical,
+            physical_transmission,
             unused0,
-            unused1
+            unused1,
+            unused2
         );
         assert_layout!(
             "direct",

@@ -475,7 +475,7 @@ impl GpuRaster {
     /// target where its format has it). Sizes may differ; the nearest pixel is taken.
     ///
     /// # Errors
-    /// [`RenderError::Gpu`]
+    /// [`RenderError::View`] where the view is not fit, [`RenderError::Gpu`]
     pub fn present(
         &mut self,
         target: &wgpu::TextureView,
@@ -483,7 +483,9 @@ impl GpuRaster {
         exposure_ev: f32,
     ) -> Result<(), RenderError> {
         self.begun()?;
-        self.step(|s| {
+        let guard = self.gpu.handles();
+        guard.scoped_view(|| {
+            let s = self;
             s.present.prepare(&s.gpu, format, exposure_ev);
             let Some(bindings) = &s.bindings else { unreachable!("a frame was begun") };
             let mut encoder = s.gpu.encoder("present");

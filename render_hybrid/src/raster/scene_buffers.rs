@@ -1,7 +1,7 @@
 //! Group 0: the scene on the GPU. Meshes and textures are sent once, instances when they moved, the rest when it changed.
 
 use bytemuck::Pod;
-use catoptra_engine::{Aabb, Mesh, RenderScene, Texture, math};
+use catoptra_engine::{Aabb, Mesh, RenderScene, Texture, glam::Vec3, math};
 use std::{collections::HashMap, sync::Arc};
 
 use super::{
@@ -116,10 +116,23 @@ pub(crate) struct SceneBuffers {
     pub draws: Vec<Draw>,
 }
 
-/// `ShadowView` compared by its bytes.
+/// `ShadowView` as shaders read it, compared by its bits.
 #[derive(Clone, Copy, PartialEq, Pod, bytemuck::Zeroable)]
 #[repr(C)]
 struct ShadowViewBytes([u32; 16]);
+
+impl ShadowViewBytes {
+    fn new(v: &ShadowView) -> Self {
+        let four = |v: Vec3, w: u32| [v.x.to_bits(), v.y.to_bits(), v.z.to_bits(), w];
+        let rows = [
+            four(v.origin_world, v.far.to_bits()),
+            four(v.right_scaled, v.perspective.to_bits()),
+            four(v.up_scaled, v.size),
+            four(v.forward, v.light),
+        ];
+        Self(bytemuck::cast(rows))
+    }
+}
 
 impl SceneBuffers {
     pub fn new(gpu: &Gpu) -> Self {
@@ -218,7 +231,7 @@ impl SceneBuffers {
             .map(|(i, l)| LightData::new(l, i, plan, layers.get(i).copied().unwrap_or(0)))
             .collect();
         replaced |= self.lights.update(gpu, lights);
-        let views = plan.views.iter().map(|v: &ShadowView| bytemuck::cast(*v)).collect();
+        let views = plan.views.iter().map(ShadowViewBytes::new).collect();
         replaced |= self.views.update(gpu, views);
         gpu.upload(&self.frame, 0, bytemuck::bytes_of(&FrameData::new(scene, width, height)));
         if replaced || self.group.is_none() {
@@ -319,7 +332,9 @@ impl SceneBuffers {
                 missing.push(texture.clone());
             }
         }
-        let bytes = |textures: &[Arc<Texture>]| textures.iter().map(|t| t.texels().len() as u64 * 4).sum::<u64>();
+        let bytes = |textures: &[Arc<Texture>]| {
+            textures.iter().map(|t| (t.texels().len() + t.mips().len()) as u64 * 4).sum::<u64>()
+        };
         let mut replaced = false;
         if !self.texels.fits(bytes(&missing)) {
             missing = unique(&scene.textures);
@@ -332,6 +347,7 @@ impl SceneBuffers {
         for texture in missing {
             let first = (self.texels.used / 4) as u32;
             self.texels.push(gpu, bytemuck::cast_slice(texture.texels()));
+            self.texels.push(gpu, bytemuck::cast_slice(texture.mips()));
             self.textures.push((texture, first));
         }
         Ok(replaced)

@@ -37,6 +37,7 @@ pub const SHARED: &[(&str, &str)] = sources![
     "shared/texture",
     "shared/light",
     "shared/shading",
+    "shared/look",
     "shared/shadow",
     "shared/vpl",
     "shared/vpl_maps",
@@ -60,6 +61,11 @@ pub fn generated_constants() -> String {
     u("TEXTURE_NEAREST", layouts::TEXTURE_NEAREST);
     u("TEXTURE_SRGB", layouts::TEXTURE_SRGB);
     u("TEXTURE_UV1", layouts::TEXTURE_UV1);
+    u("TEXTURE_NEAREST_MIN", layouts::TEXTURE_NEAREST_MIN);
+    u("TEXTURE_MIP_NEAREST", layouts::TEXTURE_MIP_NEAREST);
+    u("TEXTURE_MIP_LINEAR", layouts::TEXTURE_MIP_LINEAR);
+    u("PHYSICAL", layouts::PHYSICAL);
+    u("PHYSICAL_BLENDED", layouts::PHYSICAL_BLENDED);
     u("NO_TEXTURE", layouts::NO_TEXTURE);
     u("LIGHT_POINT", layouts::LIGHT_POINT);
     u("LIGHT_SPOT", layouts::LIGHT_SPOT);
@@ -73,6 +79,8 @@ pub fn generated_constants() -> String {
     u("ATTRIBUTE_UV1", layouts::ATTRIBUTE_UV1);
     u("ATTRIBUTE_COLOR", layouts::ATTRIBUTE_COLOR);
     u("ATTRIBUTE_ALPHA", layouts::ATTRIBUTE_ALPHA);
+    u("ATTRIBUTE_TANGENT", layouts::ATTRIBUTE_TANGENT);
+    u("ATTRIBUTE_HANDEDNESS", layouts::ATTRIBUTE_HANDEDNESS);
     u("COMPACT_BLOCK", COMPACT_BLOCK);
     u("VPL_CHUNK", VPL_CHUNK);
     for (name, kind) in layouts::PACKED_LAYERS {
@@ -81,6 +89,9 @@ pub fn generated_constants() -> String {
     let mut f = |name: &str, value: f32| out.push_str(&format!("const {name}: f32 = {value:e};\n"));
     f("PI", std::f32::consts::PI);
     f("MIN_POSITIVE", f32::MIN_POSITIVE);
+    f("POLISHED", catoptra_engine::material::POLISHED);
+    f("NOT_POLISHED", catoptra_engine::material::NOT_POLISHED);
+    f("MAX_SHININESS", catoptra_engine::material::MAX_SHININESS);
     // Stands for infinity, which shaders must not hold.
     f("FAR_AWAY", f32::MAX);
     f("SHADOW_NEAR_FRACTION", SHADOW_NEAR_FRACTION);

@@ -1,7 +1,7 @@
 // The numbers of all pixels that the tracer works on, ascending: count per block, scan, scatter. No atomics, so the list
 // is the same on every run. Source: Blelloch, "Prefix Sums and Their Applications", 1990.
 
-// w: 1 where the tracer has work.
+// w: over 0.5 where the tracer has work.
 @group(1) @binding(0) var base_color: texture_2d<f32>;
 // One entry a block: first its count, after the scan the place of its first pixel; then the count of all.
 @group(1) @binding(1) var<storage, read_write> blocks: array<u32>;

@@ -3,6 +3,7 @@
 #import shared/octahedral
 #import shared/light
 #import shared/shading
+#import shared/look
 #import shared/shadow
 #import shared/fullscreen
 
@@ -71,13 +72,15 @@ fn fragment(@builtin(position) position_pixel: vec4f) -> @location(0) vec4f {
     if material.unlit != 0u {
         return vec4f(radiance, 1.0);
     }
-    let matte = matte_weight(material);
-    let albedo = textureLoad(base_color, pixel, 0).xyz;
+    let color = textureLoad(base_color, pixel, 0);
+    let albedo = color.xyz;
+    let look = look_of(material, albedo, color.w);
+    let matte = matte_weight(look);
     radiance += matte * material.ambient * albedo * frame.ambient;
-    let diffuse = albedo * (matte * material.diffuse / PI);
+    let diffuse = albedo * (matte * look.diffuse / PI);
     let n = octahedral_decode(textureLoad(normals, pixel, 0).zw);
     let wo = direction_to_viewer(frame, place.xyz);
-    let shiny = any(material.specular > vec3f(0.0));
+    let shiny = any(look.specular > vec3f(0.0));
     for (var i = 0u; i < frame.light_count; i += 1u) {
         let light = lights[i];
         let arriving = incident(light, place.xyz);
@@ -93,7 +96,7 @@ fn fragment(@builtin(position) position_pixel: vec4f) -> @location(0) vec4f {
         }
         var reflected = diffuse;
         if shiny {
-            reflected += material.specular * blinn_phong_lobe(n, arriving.wi, wo, material.shininess);
+            reflected += look.specular * blinn_phong_lobe(n, arriving.wi, wo, look.shininess);
         }
         radiance += reflected * arriving.irradiance * (cos_i * visible);
     }

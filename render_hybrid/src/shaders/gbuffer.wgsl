@@ -4,6 +4,7 @@
 #import shared/triangle
 #import shared/octahedral
 #import shared/texture
+#import shared/look
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read> instances: array<Instance>;
@@ -19,7 +20,7 @@
 @group(1) @binding(1) var out_position: texture_storage_2d<rgba32float, write>;
 // Geometric and shading normal, octahedral.
 @group(1) @binding(2) var out_normals: texture_storage_2d<rgba32float, write>;
-// rgb: base colour, w: 1 where the tracer has work.
+// rgb: base colour, w: pack_place, over 0.5 where the tracer has work.
 @group(1) @binding(3) var out_base_color: texture_storage_2d<rgba32float, write>;
 // rgb: emitted radiance, or the background.
 @group(1) @binding(4) var out_emission: texture_storage_2d<rgba32float, write>;
@@ -51,16 +52,17 @@ fn decode_channel(byte: u32, srgb: bool) -> f32 {
     return f32(byte) / 255.0;
 }
 
-fn texel_linear(index: u32, srgb: bool) -> vec3f {
+fn texel_linear(index: u32, srgb: bool) -> vec4f {
     let t = texels[index];
-    return vec3f(
+    return vec4f(
         decode_channel(t & 255u, srgb),
         decode_channel((t >> 8u) & 255u, srgb),
         decode_channel((t >> 16u) & 255u, srgb),
+        f32(t >> 24u) / 255.0,
     );
 }
 
-fn sample_texture(r: TextureRef, uv: vec2f) -> vec3f {
+fn sample_level(r: TextureRef, uv: vec2f) -> vec4f {
     let srgb = (r.flags & TEXTURE_SRGB) != 0u;
     let f = texture_footprint(r, uv);
     let t = f.texels + r.first_texel;
@@ -69,12 +71,55 @@ fn sample_texture(r: TextureRef, uv: vec2f) -> vec3f {
     return top * (1.0 - f.fraction.y) + bottom * f.fraction.y;
 }
 
-fn textured(color: vec3f, r: TextureRef, vertices: vec3u, weights: vec3f) -> vec3f {
-    if r.first_texel == NO_TEXTURE {
-        return color;
+// Twin: engine/src/texture.rs, Texture::sample_lod.
+fn sample_texture(r: TextureRef, uv: vec2f, wanted: f32) -> vec4f {
+    if wanted <= 0.0 {
+        return sample_level(r, uv);
     }
-    let offset = select(ATTRIBUTE_UV0, ATTRIBUTE_UV1, (r.flags & TEXTURE_UV1) != 0u);
-    return color * sample_texture(r, attribute2(vertices, offset, weights));
+    let lod = min(wanted, f32(texture_last_level(r)));
+    if (r.flags & TEXTURE_MIP_LINEAR) != 0u {
+        let low = floor(lod);
+        let fine = sample_level(texture_level(r, u32(low)), uv);
+        if lod == low {
+            return fine;
+        }
+        return fine * (1.0 - (lod - low)) + sample_level(texture_level(r, u32(low) + 1u), uv) * (lod - low);
+    }
+    let level = select(0.0, floor(lod + 0.5), (r.flags & TEXTURE_MIP_NEAREST) != 0u);
+    return sample_level(texture_level(r, u32(level)), uv);
+}
+
+// Where a pixel meets a triangle, as far as textures need it.
+struct Seen {
+    vertices: vec3u,
+    weights: vec3f,
+    // Square metres of surface that the pixel covers.
+    footprint: f32,
+    area_world: f32,
+}
+
+fn uv_offset(r: TextureRef) -> u32 {
+    return select(ATTRIBUTE_UV0, ATTRIBUTE_UV1, (r.flags & TEXTURE_UV1) != 0u);
+}
+
+// White where there is no texture.
+fn textured(r: TextureRef, seen: Seen) -> vec4f {
+    if r.first_texel == NO_TEXTURE {
+        return vec4f(1.0);
+    }
+    let offset = uv_offset(r);
+    let uv0 = attribute2(seen.vertices, offset, vec3f(1.0, 0.0, 0.0));
+    let d1 = attribute2(seen.vertices, offset, vec3f(0.0, 1.0, 0.0)) - uv0;
+    let d2 = attribute2(seen.vertices, offset, vec3f(0.0, 0.0, 1.0)) - uv0;
+    let per_area = abs(d1.x * d2.y - d1.y * d2.x) / max(seen.area_world, MIN_POSITIVE);
+    let lod = texture_lod(r, per_area, seen.footprint);
+    return sample_texture(r, attribute2(seen.vertices, offset, seen.weights), lod);
+}
+
+// Twin: trace/surface.rs, PixelCone.
+fn pixel_width(distance: f32) -> f32 {
+    let pixel = 2.0 * frame.half_height / f32(frame.size.y);
+    return select(pixel * distance, pixel, frame.orthographic != 0u);
 }
 
 @compute @workgroup_size(8, 8)
@@ -82,16 +127,16 @@ fn resolve(@builtin(global_invocation_id) id: vec3u) {
     if any(id.xy >= frame.size) {
         return;
     }
-    let seen = textureLoad(visibility, id.xy, 0).xy;
-    if seen.x == 0u {
+    let visible = textureLoad(visibility, id.xy, 0).xy;
+    if visible.x == 0u {
         textureStore(out_position, id.xy, vec4f(0.0));
         textureStore(out_normals, id.xy, vec4f(0.0));
         textureStore(out_base_color, id.xy, vec4f(0.0));
         textureStore(out_emission, id.xy, vec4f(frame.background, 0.0));
         return;
     }
-    let instance = instances[seen.x - 1u];
-    let first = instance.first_index + 3u * seen.y;
+    let instance = instances[visible.x - 1u];
+    let first = instance.first_index + 3u * visible.y;
     let vertices = vec3u(indices[first], indices[first + 1u], indices[first + 2u]) + instance.first_vertex;
     let p0 = position_object(vertices.x);
     let p1 = position_object(vertices.y);
@@ -121,19 +166,35 @@ fn resolve(@builtin(global_invocation_id) id: vec3u) {
     var n_shading = normalize_or(interpolated, n_geometric);
     let flipped = dot(n_shading, n_geometric) < 0.0;
     let material = materials[instance.material];
+    let width = pixel_width(distance(ray.origin, point_world));
+    let seen = Seen(
+        vertices,
+        weights,
+        width * width / max(abs(dot(n_geometric, ray.direction)), 1e-3),
+        length(cross(direction_world_from_object(instance, e1), direction_world_from_object(instance, e2))),
+    );
     let map = material.normal_texture;
     if map.first_texel != NO_TEXTURE {
-        let offset = select(ATTRIBUTE_UV0, ATTRIBUTE_UV1, (map.flags & TEXTURE_UV1) != 0u);
+        let offset = uv_offset(map);
         let uv0 = attribute2(vertices, offset, vec3f(1.0, 0.0, 0.0));
         let duv1 = attribute2(vertices, offset, vec3f(0.0, 1.0, 0.0)) - uv0;
         let duv2 = attribute2(vertices, offset, vec3f(0.0, 0.0, 1.0)) - uv0;
-        let frame_object = tangents(e1 * scale, e2 * scale, duv1, duv2);
-        let texel = sample_texture(map, attribute2(vertices, offset, weights));
+        var frame_object = tangents(e1 * scale, e2 * scale, duv1, duv2);
+        let tangent = attribute3(vertices, ATTRIBUTE_TANGENT, weights);
+        if any(tangent != vec3f(0.0)) {
+            let handedness = dot(weights, vec3f(
+                attributes[vertices.x * ATTRIBUTE_STRIDE + ATTRIBUTE_HANDEDNESS],
+                attributes[vertices.y * ATTRIBUTE_STRIDE + ATTRIBUTE_HANDEDNESS],
+                attributes[vertices.z * ATTRIBUTE_STRIDE + ATTRIBUTE_HANDEDNESS],
+            ));
+            let normal_object = attribute3(vertices, ATTRIBUTE_NORMAL, weights);
+            frame_object = Tangents(tangent, -cross(normal_object, tangent) * handedness);
+        }
         n_shading = perturbed_normal(
             n_shading,
             direction_world_from_object(instance, frame_object.along_u),
             direction_world_from_object(instance, frame_object.along_v),
-            texel,
+            textured(map, seen).xyz,
             material.normal_scale,
         );
     }
@@ -141,15 +202,36 @@ fn resolve(@builtin(global_invocation_id) id: vec3u) {
         n_shading = -n_shading;
     }
 
-    let base_color = textured(material.base_color, material.base_color_texture, vertices, weights)
-        * attribute3(vertices, ATTRIBUTE_COLOR, weights);
-    var emission = textured(material.emissive, material.emissive_texture, vertices, weights);
+    let texel = textured(material.base_color_texture, seen);
+    var base_color = material.base_color * texel.xyz * attribute3(vertices, ATTRIBUTE_COLOR, weights);
+    var emission = material.emissive * textured(material.emissive_texture, seen).xyz;
+    var place = PhysicalPlace(0.0, 0.0, 0.0, 1.0);
+    var look = Look(vec3f(0.0), 0.0, 1.0, material.mirror, material.transmission);
+    if (material.physical & PHYSICAL) != 0u {
+        let metal = textured(material.metallic_roughness_texture, seen);
+        place.metallic = material.metallic * metal.z;
+        place.roughness = material.roughness * metal.y;
+        place.transmission = material.physical_transmission * textured(material.transmission_texture, seen).x;
+        if (material.physical & PHYSICAL_BLENDED) != 0u {
+            let alpha = vec3f(
+                attributes[vertices.x * ATTRIBUTE_STRIDE + ATTRIBUTE_ALPHA],
+                attributes[vertices.y * ATTRIBUTE_STRIDE + ATTRIBUTE_ALPHA],
+                attributes[vertices.z * ATTRIBUTE_STRIDE + ATTRIBUTE_ALPHA],
+            );
+            place.coverage = clamp(material.alpha * texel.w * dot(weights, alpha), 0.0, 1.0);
+        }
+        look = physical_look(material.reflectance, base_color, place);
+        emission *= place.coverage;
+        if material.unlit != 0u {
+            base_color *= place.coverage;
+        }
+    }
     if material.unlit != 0u {
         emission += base_color;
     }
-    let traced = material.mirror > 0.0 || material.transmission > 0.0;
+    let traced = look.mirror > 0.0 || look.transmission > 0.0;
     textureStore(out_position, id.xy, vec4f(point_world, f32(instance.material + 1u)));
     textureStore(out_normals, id.xy, vec4f(octahedral_encode(n_geometric), octahedral_encode(n_shading)));
-    textureStore(out_base_color, id.xy, vec4f(base_color, f32(traced)));
+    textureStore(out_base_color, id.xy, vec4f(base_color, pack_place(place, traced)));
     textureStore(out_emission, id.xy, vec4f(emission, 0.0));
 }

@@ -1,6 +1,7 @@
 // Indirect light: the contribution of up to VPL_CHUNK virtual point lights, added to that of earlier chunks.
 // In a uniform buffer: on llvmpipe twice as fast as a storage buffer, and constant-cached on GPUs.
 #import shared/scene
+#import shared/look
 #import shared/octahedral
 #import shared/vpl
 #import shared/vpl_maps
@@ -38,7 +39,9 @@ fn fragment(@builtin(position) position_pixel: vec4f) -> @location(0) vec4f {
         return vec4f(0.0, 0.0, 0.0, 1.0);
     }
     let material = materials[u32(place.w) - 1u];
-    let weight = matte_weight(material) * material.diffuse / PI;
+    let color = textureLoad(base_color, pixel, 0);
+    let look = look_of(material, color.xyz, color.w);
+    let weight = matte_weight(look) * look.diffuse / PI;
     if material.unlit != 0u || weight <= 0.0 {
         return vec4f(0.0, 0.0, 0.0, 1.0);
     }
@@ -54,7 +57,7 @@ fn fragment(@builtin(position) position_pixel: vec4f) -> @location(0) vec4f {
             sum += irradiance * vpl_visibility(vpl_maps, vpl.map, pass_uniform.map_size, place.xyz - center, n);
         }
     }
-    var radiance = textureLoad(base_color, pixel, 0).xyz * (weight * sum);
+    var radiance = color.xyz * (weight * sum);
     if pass_uniform.accumulate != 0u {
         radiance += textureLoad(previous, pixel, 0).xyz;
     }

@@ -1,6 +1,7 @@
 // Layers that the G-buffer holds in packed form, as pictures.
 #import shared/camera
 #import shared/octahedral
+#import shared/look
 #import shared/fullscreen
 
 @group(0) @binding(0) var<uniform> frame: Frame;
@@ -34,7 +35,9 @@ fn fragment(@builtin(position) position_pixel: vec4f) -> @location(0) vec4f {
     switch pass_uniform.layer {
         case LAYER_MASK: {
             let material = materials[u32(place.w) - 1u];
-            return vec4f(material.mirror, (1.0 - material.mirror) * material.transmission, 0.0, place.w);
+            let color = textureLoad(base_color, pixel, 0);
+            let look = look_of(material, color.xyz, color.w);
+            return vec4f(look.mirror, (1.0 - look.mirror) * look.transmission, 0.0, place.w);
         }
         case LAYER_DEPTH: {
             return vec4f(vec3f(dot(frame.forward_world, place.xyz - frame.eye_world)), place.w);

@@ -140,7 +140,7 @@ impl PathTracer<'_> {
             let s = surface_at(self.scene, self.normals, &ray, &hit);
             let m = &self.scene.materials[s.material as usize];
             // Mirror and glass end the photon; a mixed material reflects its matte share diffusely.
-            let albedo = if m.unlit { Vec3::ZERO } else { s.base_color * (m.diffuse * m.matte_weight()) };
+            let albedo = if m.unlit { Vec3::ZERO } else { s.base_color * (s.look.diffuse * s.look.matte_weight()) };
             flux *= albedo;
             slots[used] = vpl_at(&s, flux);
             used += 1;

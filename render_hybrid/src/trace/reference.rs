@@ -5,7 +5,7 @@
 //! glass but for their matte share), Lambertian indirect light. Sample i of pixel p is a function of (scene, options, p, i).
 //! Source: Kajiya, "The Rendering Equation", SIGGRAPH 1986; next-event estimation after Shirley et al. 1996.
 
-use catoptra_engine::{Material, RenderScene};
+use catoptra_engine::{Look, RenderScene};
 use glam::Vec3;
 use rayon::prelude::*;
 use std::f32::consts::PI;
@@ -217,16 +217,16 @@ impl Path<'_> {
             if m.unlit || diffuse_bounces > self.options.bounces {
                 return radiance;
             }
-            radiance += throughput * self.next_event(&s, m, -ray.direction, diffuse_bounces == 0);
+            radiance += throughput * self.next_event(&s, -ray.direction, diffuse_bounces == 0);
             if diffuse_bounces == 0 {
-                let ambient = s.base_color * scene.environment.ambient * (m.ambient * m.matte_weight());
+                let ambient = s.base_color * scene.environment.ambient * (m.ambient * s.look.matte_weight());
                 radiance += throughput * ambient;
             }
 
             // Choose one continuation in proportion to its weight: matte, reflected, transmitted.
-            let matte = s.base_color * (m.diffuse * m.matte_weight());
+            let matte = s.base_color * (s.look.diffuse * s.look.matte_weight());
             let mut matte_weight = if diffuse_bounces < last { matte.element_sum() } else { 0.0 };
-            let traced = m.is_traced() && diffuse_bounces == 0 && interfaces < self.options.max_depth;
+            let traced = s.look.is_traced() && diffuse_bounces == 0 && interfaces < self.options.max_depth;
             let mut reflected_weight = 0.0;
             let mut transmitted_weight = 0.0;
             let mut optics = None;
@@ -285,13 +285,13 @@ impl Path<'_> {
 
     /// Next-event estimation: one point on the disc of every light.
     /// * `highlight`: with the specular lobe (camera paths); without it the light is Lambertian, as VPLs are
-    fn next_event(&mut self, s: &Surface, m: &Material, wo: Vec3, highlight: bool) -> Vec3 {
-        let lambert = Material { specular: Vec3::ZERO, ..*m };
-        let m = if highlight { m } else { &lambert };
+    fn next_event(&mut self, s: &Surface, wo: Vec3, highlight: bool) -> Vec3 {
+        let lambert = Surface { look: Look { specular: Vec3::ZERO, ..s.look }, ..*s };
+        let s = if highlight { s } else { &lambert };
         let mut sum = Vec3::ZERO;
         for light in 0..self.scene.lights.len() as u32 {
             let xi = self.next_2d();
-            let unshadowed = reflected_from_light(self.scene, light, s, m, wo);
+            let unshadowed = reflected_from_light(self.scene, light, s, wo);
             if unshadowed == Vec3::ZERO {
                 continue;
             }

@@ -106,10 +106,10 @@ pub fn direct_light(ctx: &FrameContext, s: &Surface, wo: Vec3, pixel: u32, rays:
     if m.unlit {
         return s.emission;
     }
-    let ambient = s.base_color * ctx.scene.environment.ambient * (m.ambient * m.matte_weight());
+    let ambient = s.base_color * ctx.scene.environment.ambient * (m.ambient * s.look.matte_weight());
     let mut radiance = s.emission + ambient;
     for light in 0..ctx.scene.lights.len() as u32 {
-        let unshadowed = reflected_from_light(ctx.scene, light, s, m, wo);
+        let unshadowed = reflected_from_light(ctx.scene, light, s, wo);
         if unshadowed != Vec3::ZERO {
             radiance += unshadowed * light_visibility(ctx, light, s, pixel, rays);
         }
@@ -119,15 +119,15 @@ pub fn direct_light(ctx: &FrameContext, s: &Surface, wo: Vec3, pixel: u32, rays:
 
 /// Radiance towards `wo` that an unshadowed light causes: (k_d · base_color/π · matte + k_s · lobe) · N·L · incident.
 #[inline]
-pub fn reflected_from_light(scene: &RenderScene, light: u32, s: &Surface, m: &Material, wo: Vec3) -> Vec3 {
+pub fn reflected_from_light(scene: &RenderScene, light: u32, s: &Surface, wo: Vec3) -> Vec3 {
     let (wi, _, incident) = scene.lights[light as usize].incident(s.position_world);
     let n_dot_l = s.n_shading.dot(wi);
     if n_dot_l <= 0.0 || incident == Vec3::ZERO {
         return Vec3::ZERO;
     }
-    let mut brdf = s.base_color * (m.diffuse * m.matte_weight() * FRAC_1_PI);
-    if m.specular != Vec3::ZERO {
-        brdf += m.specular * blinn_phong_lobe(s.n_shading, wi, wo, m.shininess);
+    let mut brdf = s.base_color * (s.look.diffuse * s.look.matte_weight() * FRAC_1_PI);
+    if s.look.specular != Vec3::ZERO {
+        brdf += s.look.specular * blinn_phong_lobe(s.n_shading, wi, wo, s.look.shininess);
     }
     brdf * incident * n_dot_l
 }
@@ -135,7 +135,7 @@ pub fn reflected_from_light(scene: &RenderScene, light: u32, s: &Surface, m: &Ma
 /// Albedo that turns VPL irradiance into radiance: base_color/π · k_d · matte weight.
 #[inline]
 pub fn indirect_albedo(m: &Material, s: &Surface) -> Vec3 {
-    if m.unlit { Vec3::ZERO } else { s.base_color * (m.diffuse * m.matte_weight() * FRAC_1_PI) }
+    if m.unlit { Vec3::ZERO } else { s.base_color * (s.look.diffuse * s.look.matte_weight() * FRAC_1_PI) }
 }
 
 /// Sets the irradiance of every point of the batch (which must be padded) by a run of the frame's VPLs.

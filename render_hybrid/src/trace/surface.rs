@@ -1,6 +1,6 @@
 //! From a hit to everything that shading needs to know of the place.
 
-use catoptra_engine::{RenderScene, TextureRef};
+use catoptra_engine::{Camera, Look, PhysicalPlace, Projection, RenderScene, TextureRef, math};
 use glam::{Mat3, Vec2, Vec3};
 
 use crate::accel::{Hit, Ray};
@@ -22,6 +22,8 @@ pub struct Surface {
     pub base_color: Vec3,
     /// Emitted radiance, `unlit` included.
     pub emission: Vec3,
+    /// How the place splits light.
+    pub look: Look,
     /// Index into the scene's materials.
     pub material: u32,
     /// Index into the scene's instances.
@@ -117,12 +119,60 @@ fn perturbed_normal(n: Vec3, along_u: Vec3, along_v: Vec3, texel: Vec3, normal_s
     (t * (c.x * normal_scale) + b * (c.y * normal_scale) + n * c.z).normalize_or(n)
 }
 
+/// Surfaces seen at steeper angles are taken for this: a bound on a pixel's footprint.
+const LEAST_COSINE: f32 = 1e-3;
+
 fn finite(uv: Vec2) -> Vec2 {
     if uv.is_finite() { uv } else { Vec2::ZERO }
 }
 
-/// The surface that `hit` met.
+/// How wide a pixel is along its ray and the rays that follow it: chooses the texture's level. Curved mirrors, which spread
+/// rays, and lenses are taken for flat.
+///
+/// Source: Akenine-Möller et al., "Texture Level of Detail Strategies for Real-Time Ray Tracing", Ray Tracing Gems, 2019.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct PixelCone {
+    /// Metres at the camera.
+    pub width: f32,
+    /// Metres a metre.
+    pub spread: f32,
+}
+
+impl PixelCone {
+    /// The cone of a camera's pixels in a picture of `height` rows. Twin: `shaders/gbuffer.wgsl`, pixel_width.
+    pub fn of(camera: &Camera, height: u32) -> Self {
+        let (_, half_height) = camera.half_extent(1, 1);
+        let pixel = 2.0 * half_height / height as f32;
+        match camera.projection {
+            Projection::Perspective { .. } => Self { width: 0.0, spread: pixel },
+            Projection::Orthographic { .. } => Self { width: pixel, spread: 0.0 },
+        }
+    }
+    /// Metres after a way of `distance` metres.
+    #[inline]
+    pub fn at(&self, distance: f32) -> f32 {
+        self.width + self.spread * distance
+    }
+}
+
+/// Level of a texture of which one texel has the area of `footprint`; at most 0 where texels are larger.
+/// * `per_area`: area in texture coordinates a square metre of surface
+/// * `footprint`: square metres of surface that a pixel covers
+///
+/// Twin: `shaders/shared/texture.wgsl`, texture_lod.
+fn texture_lod(r: &TextureRef, width: u32, height: u32, per_area: f32, footprint: f32) -> f32 {
+    let [[a, b, _], [c, d, _]] = r.uv_transform;
+    let texels = (a * d - b * c).abs() * per_area * footprint * (width as f32 * height as f32);
+    if texels > 1.0 && texels < f32::MAX { 0.5 * std::f32::consts::LOG2_E * math::ln(texels) } else { 0.0 }
+}
+
+/// The surface that `hit` met, textures at full detail.
 pub fn surface_at(scene: &RenderScene, normals: &NormalMatrices, ray: &Ray, hit: &Hit) -> Surface {
+    surface_seen(scene, normals, ray, hit, 0.0)
+}
+
+/// The surface that `hit` met, seen by a pixel that is `pixel_width` metres wide there.
+pub fn surface_seen(scene: &RenderScene, normals: &NormalMatrices, ray: &Ray, hit: &Hit, pixel_width: f32) -> Surface {
     let instance = &scene.instances[hit.instance_id as usize];
     let mesh = &scene.meshes[instance.mesh as usize];
     let material = &scene.materials[instance.material as usize];
@@ -161,16 +211,37 @@ pub fn surface_at(scene: &RenderScene, normals: &NormalMatrices, ray: &Ray, hit:
     let flipped = n_shading.dot(n_geometric) < 0.0;
 
     let uv_set = |r: &TextureRef| if r.uv_set == 1 { mesh.uvs1() } else { mesh.uvs() };
-    let uv = |r: &TextureRef| {
+    let sample = |r: &TextureRef| {
+        let texture = &scene.textures[r.texture as usize];
         let set = uv_set(r);
-        if set.is_empty() { Vec2::ZERO } else { set[i0] * w + set[i1] * u + set[i2] * v }
+        if set.is_empty() {
+            return texture.sample(r, Vec2::ZERO);
+        }
+        let uv = set[i0] * w + set[i1] * u + set[i2] * v;
+        if pixel_width <= 0.0 || texture.texels().len() == 1 {
+            return texture.sample(r, uv);
+        }
+        let (d1, d2) = (finite(set[i1]) - finite(set[i0]), finite(set[i2]) - finite(set[i0]));
+        let area_world = (m.matrix3 * e1).cross(m.matrix3 * e2).length();
+        let cos = n_geometric.dot(ray.direction).abs().max(LEAST_COSINE);
+        let per_area = d1.perp_dot(d2).abs() / area_world.max(f32::MIN_POSITIVE);
+        let lod = texture_lod(r, texture.width(), texture.height(), per_area, pixel_width * pixel_width / cos);
+        texture.sample_lod(r, uv, lod)
     };
     let n_shading = match &material.normal_texture {
         Some(r) if !uv_set(r).is_empty() => {
             let set = uv_set(r);
-            let (along_u, along_v) =
-                tangents(e1 * scale, e2 * scale, finite(set[i1]) - finite(set[i0]), finite(set[i2]) - finite(set[i0]));
-            let texel = scene.textures[r.texture as usize].sample(r, uv(r)).truncate();
+            let (along_u, along_v) = match mesh.tangents() {
+                [] => {
+                    let (duv1, duv2) = (finite(set[i1]) - finite(set[i0]), finite(set[i2]) - finite(set[i0]));
+                    tangents(e1 * scale, e2 * scale, duv1, duv2)
+                }
+                frames => {
+                    let t = frames[i0] * w + frames[i1] * u + frames[i2] * v;
+                    (t.truncate(), -interpolated.cross(t.truncate()) * t.w)
+                }
+            };
+            let texel = sample(r).truncate();
             let to_world = |d: Vec3| m.matrix3 * d;
             perturbed_normal(n_shading, to_world(along_u), to_world(along_v), texel, material.normal_scale)
         }
@@ -178,16 +249,45 @@ pub fn surface_at(scene: &RenderScene, normals: &NormalMatrices, ray: &Ray, hit:
     };
     let n_shading = if flipped { -n_shading } else { n_shading };
 
-    let textured = |color: Vec3, r: &Option<TextureRef>| match r {
-        Some(r) => color * scene.textures[r.texture as usize].sample(r, uv(r)).truncate(),
-        None => color,
-    };
-    let mut base_color = textured(material.base_color, &material.base_color_texture);
+    let mut base_color = material.base_color;
+    let mut coverage = material.alpha;
+    if let Some(r) = &material.base_color_texture {
+        let texel = sample(r);
+        base_color *= texel.truncate();
+        coverage *= texel.w;
+    }
     let colors = mesh.colors();
     if !colors.is_empty() {
-        base_color *= (colors[i0] * w + colors[i1] * u + colors[i2] * v).truncate();
+        let color = colors[i0] * w + colors[i1] * u + colors[i2] * v;
+        base_color *= color.truncate();
+        coverage *= color.w;
     }
-    let mut emission = textured(material.emissive, &material.emissive_texture);
+    let mut emission = material.emissive;
+    if let Some(r) = &material.emissive_texture {
+        emission *= sample(r).truncate();
+    }
+    let look = match &material.physical {
+        None => material.look(),
+        Some(p) => {
+            let coverage = if p.blended { coverage.clamp(0.0, 1.0) } else { 1.0 };
+            let mut at =
+                PhysicalPlace { metallic: p.metallic, roughness: p.roughness, transmission: p.transmission, coverage };
+            if let Some(r) = &p.metallic_roughness_texture {
+                let texel = sample(r);
+                at.roughness *= texel.y;
+                at.metallic *= texel.z;
+            }
+            if let Some(r) = &p.transmission_texture {
+                at.transmission *= sample(r).x;
+            }
+            let look = p.look(base_color, at);
+            emission *= coverage;
+            if material.unlit {
+                base_color *= coverage;
+            }
+            look
+        }
+    };
     if material.unlit {
         emission += base_color;
     }
@@ -199,6 +299,7 @@ pub fn surface_at(scene: &RenderScene, normals: &NormalMatrices, ray: &Ray, hit:
         front,
         base_color,
         emission,
+        look,
         material: instance.material,
         instance_id: hit.instance_id,
         primitive_id: hit.primitive_id,

@@ -12,7 +12,7 @@ use super::{
     media::{self, MediumStack},
     points::PointBatch,
     shade::{self, FrameContext, VplRays},
-    surface::{Surface, surface_at},
+    surface::{PixelCone, Surface, surface_seen},
 };
 use crate::{
     accel::{Hit, Ray},
@@ -33,6 +33,8 @@ struct Branch {
     /// Surfaces behind it, hidden interfaces included: bounds the walk through coincident glass.
     crossed: u32,
     refraction: bool,
+    /// Metres from the camera to the ray's start, along the path.
+    way: f32,
 }
 
 /// A pixel whose surface reflects or refracts.
@@ -69,6 +71,8 @@ pub fn trace(
     radiance.clear();
     radiance.resize(pixels.len(), Vec3::ZERO);
     let s = scratch;
+    let cone = PixelCone::of(&ctx.scene.camera, ctx.settings.height);
+    let eye = ctx.scene.camera.world_from_view.translation;
     s.wave.clear();
     for (slot, p) in pixels.iter().enumerate() {
         let arriving = Branch {
@@ -79,6 +83,7 @@ pub fn trace(
             depth: 0,
             crossed: 0,
             refraction: false,
+            way: (p.surface.position_world - eye).length(),
         };
         spawn(ctx, &arriving, &p.surface, &mut s.wave);
     }
@@ -105,7 +110,8 @@ pub fn trace(
                 radiance[branch.slot as usize] += branch.weight * ctx.scene.environment.background;
                 continue;
             }
-            let surface = surface_at(ctx.scene, ctx.normals, &branch.ray, hit);
+            branch.way += hit.t;
+            let surface = surface_seen(ctx.scene, ctx.normals, &branch.ray, hit, cone.at(branch.way));
             s.shaded.push((branch.slot, branch.weight, -branch.ray.direction, surface));
             spawn(ctx, &branch, &surface, &mut s.next);
         }
@@ -146,7 +152,7 @@ fn shade_wave(
 /// Continues `arriving`, which met `surface`, by a reflected and a refracted ray where the material says so.
 fn spawn(ctx: &FrameContext, arriving: &Branch, surface: &Surface, out: &mut Vec<Branch>) {
     let m = &ctx.scene.materials[surface.material as usize];
-    if !m.is_traced() || arriving.depth >= ctx.settings.max_depth {
+    if !surface.look.is_traced() || arriving.depth >= ctx.settings.max_depth {
         return;
     }
     let d = arriving.ray.direction;
@@ -208,13 +214,13 @@ pub fn split(
     let cos_i = s.n_shading.dot(-d).clamp(0.0, 1.0);
     let tint = if m.schlick { schlick(s.base_color, cos_i) } else { s.base_color };
     let mut out = Interface {
-        reflected: tint * m.mirror,
+        reflected: tint * s.look.mirror,
         transmitted: Vec3::ZERO,
         transmitted_direction: None,
         behind: inside,
         hidden: false,
     };
-    let glass = (1.0 - m.mirror) * m.transmission;
+    let glass = (1.0 - s.look.mirror) * s.look.transmission;
     if glass <= 0.0 {
         return out;
     }

@@ -22,7 +22,7 @@ pub const WIDEST_SPOT_DEGREES: f32 = 70.0;
 pub const GAUSSIAN_7: [f32; 4] = [0.036_632_847, 0.111_280_75, 0.216_745_32, 0.270_682_17];
 
 /// A plane of texels that a light looks through.
-#[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 #[repr(C)]
 pub struct ShadowView {
     /// Centre of projection, or the middle of the near plane (parallel light).
@@ -158,8 +158,7 @@ pub fn cube_face(v: Vec3) -> u32 {
 }
 
 /// Which maps belong to one light: `count` is 1 or 6.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, bytemuck::Pod, bytemuck::Zeroable)]
-#[repr(C)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct LightMaps {
     /// First view in the plan.
     pub first: u32,

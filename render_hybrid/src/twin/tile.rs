@@ -12,7 +12,7 @@ use crate::{
         camera_rays::camera_ray,
         points::PointBatch,
         shade::{self, FrameContext, VplRays},
-        surface::{Surface, surface_at},
+        surface::{PixelCone, Surface, surface_seen},
         whitted::{self, MaskedPixel, WhittedScratch},
     },
 };
@@ -142,10 +142,11 @@ pub fn fill_gbuffer(ctx: &FrameContext, rect: TileRect, s: &mut TileScratch) {
     s.hits.clear();
     s.hits.resize(s.rays.len(), Hit::MISS);
     ctx.accel.closest_hits(&s.rays, &mut s.hits);
+    let cone = PixelCone::of(camera, height);
     for ((ray, hit), g) in s.rays.iter().zip(&s.hits).zip(&mut s.gbuffer) {
         if hit.is_hit() {
             g.depth = hit.t * forward.dot(ray.direction);
-            g.surface = Some(surface_at(ctx.scene, ctx.normals, ray, hit));
+            g.surface = Some(surface_seen(ctx.scene, ctx.normals, ray, hit, cone.at(hit.t)));
         }
     }
 }
@@ -239,7 +240,7 @@ fn fill_traced(ctx: &FrameContext, s: &mut TileScratch, stats: &mut TileStats) {
     s.masked_of.clear();
     for (i, g) in s.gbuffer.iter().enumerate() {
         let Some(surface) = g.surface else { continue };
-        if ctx.scene.materials[surface.material as usize].is_traced() {
+        if surface.look.is_traced() {
             s.masked.push(MaskedPixel { pixel: g.pixel, surface, direction: g.direction });
             s.masked_of.push(i as u32);
         }

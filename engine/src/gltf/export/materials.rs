@@ -2,11 +2,8 @@
 
 use super::writer::Writer;
 use crate::{
-    gltf::{
-        error::GltfError,
-        materials::{POLISHED, f0, roughness_from_shininess, shininess_from_roughness},
-    },
-    material::{Material, TextureRef, Wrap},
+    gltf::{error::GltfError, materials::f0},
+    material::{Material, Mip, NOT_POLISHED, Physical, PhysicalPlace, TextureRef, Wrap, roughness_from_shininess},
     render_scene::RenderScene,
 };
 use glam::Vec3;
@@ -29,9 +26,12 @@ pub(super) fn thickness(scene: &RenderScene) -> Vec<f32> {
     out
 }
 
+/// Image, wrap rules, filters.
+type Key = (u32, [u32; 2], [u32; 2]);
+
 /// glTF textures are pairs of image and sampler: made as materials ask for them.
 pub(super) struct Textures {
-    sampled: BTreeMap<(u32, u32, u32, bool), usize>,
+    sampled: BTreeMap<Key, usize>,
 }
 
 impl Textures {
@@ -62,14 +62,13 @@ impl Textures {
                     image
                 }
             };
-            let filter = if r.nearest { 9728 } else { 9729 };
+            let [mag, min] = filters(r);
             let [s, t] = r.wrap.map(|v| match v {
                 Wrap::Repeat => 10497,
                 Wrap::Clamp => 33071,
                 Wrap::Mirror => 33648,
             });
-            let sampler =
-                w.push("samplers", json!({ "magFilter": filter, "minFilter": filter, "wrapS": s, "wrapT": t }));
+            let sampler = w.push("samplers", json!({ "magFilter": mag, "minFilter": min, "wrapS": s, "wrapT": t }));
             sampled.insert(key(r), w.push("textures", json!({ "source": image, "sampler": sampler })));
         }
         Ok(Self { sampled })
@@ -88,8 +87,19 @@ impl Textures {
     }
 }
 
-fn key(r: &TextureRef) -> (u32, u32, u32, bool) {
-    (r.texture, r.wrap[0] as u32, r.wrap[1] as u32, r.nearest)
+fn key(r: &TextureRef) -> Key {
+    (r.texture, r.wrap.map(|w| w as u32), filters(r))
+}
+
+/// glTF's codes for magnification and minification.
+fn filters(r: &TextureRef) -> [u32; 2] {
+    let linear = u32::from(!r.nearest_min);
+    let min = match r.mip {
+        Mip::None => 9728,
+        Mip::Nearest => 9984,
+        Mip::Linear => 9986,
+    };
+    [9728 + u32::from(!r.nearest), min + linear]
 }
 
 /// Offset, rotation and scale of [[c sx, s sy, ox], [-s sx, c sy, oy]].
@@ -105,13 +115,17 @@ fn uv_transform(m: &[[f32; 3]; 2]) -> Value {
 /// One material.
 pub(super) fn material(m: &Material, thickness: f32, textures: &Textures, w: &mut Writer) -> Value {
     let (metallic, roughness) = metallic_roughness(m);
+    let covered = if m.thin && m.physical.is_none() { 1.0 - m.transmission } else { m.alpha };
     let mut pbr = json!({
-        "baseColorFactor": [m.base_color.x, m.base_color.y, m.base_color.z, if m.thin { 1.0 - m.transmission } else { m.alpha }],
+        "baseColorFactor": [m.base_color.x, m.base_color.y, m.base_color.z, covered],
         "metallicFactor": metallic,
         "roughnessFactor": roughness,
     });
     if let Some(r) = &m.base_color_texture {
         pbr["baseColorTexture"] = textures.info(r, w);
+    }
+    if let Some(r) = m.physical.as_ref().and_then(|p| p.metallic_roughness_texture.as_ref()) {
+        pbr["metallicRoughnessTexture"] = textures.info(r, w);
     }
     let mut value = json!({ "pbrMetallicRoughness": pbr, "doubleSided": true });
     if let Some(r) = &m.normal_texture {
@@ -147,8 +161,13 @@ pub(super) fn material(m: &Material, thickness: f32, textures: &Textures, w: &mu
 
     // Glass.
     let clear = m.attenuation_distance == f32::INFINITY;
-    if m.transmission > 0.0 && !m.thin {
-        add(w, "KHR_materials_transmission", json!({ "transmissionFactor": m.transmission }));
+    let glass = m.physical.map_or(m.transmission, |p| p.transmission);
+    if glass > 0.0 && (!m.thin || m.physical.is_some()) {
+        let mut transmission = json!({ "transmissionFactor": glass });
+        if let Some(r) = m.physical.as_ref().and_then(|p| p.transmission_texture.as_ref()) {
+            transmission["transmissionTexture"] = textures.info(r, w);
+        }
+        add(w, "KHR_materials_transmission", transmission);
     }
     if m.ior != 1.5 {
         add(w, "KHR_materials_ior", json!({ "ior": m.ior }));
@@ -164,13 +183,17 @@ pub(super) fn material(m: &Material, thickness: f32, textures: &Textures, w: &mu
     if m.unlit {
         add(w, "KHR_materials_unlit", json!({}));
     }
+    if let Some(p) = &m.physical {
+        let specular = specular_of(p.reflectance, f0(m.ior));
+        if specular != (1.0, Vec3::ONE) {
+            let (factor, color) = (specular.0, specular.1.to_array());
+            add(w, "KHR_materials_specular", json!({ "specularFactor": factor, "specularColorFactor": color }));
+        }
+    }
     let implied = implied(m, metallic, roughness);
-    if metallic == 0.0 && m.specular != implied.specular && roughness < 1.0 {
+    if m.physical.is_none() && metallic == 0.0 && m.specular != implied.specular && roughness < 1.0 {
         // k_s = F0 · factor · colour · (1 − r): the closest that other renderers can show.
-        let full = f0(m.ior) * (1.0 - roughness);
-        let color = if full > 0.0 { m.specular / full } else { Vec3::ZERO };
-        let factor = color.max_element().min(1.0);
-        let color = if factor > 0.0 { color / factor } else { Vec3::ONE };
+        let (factor, color) = specular_of(m.specular, f0(m.ior) * (1.0 - roughness));
         add(w, "KHR_materials_specular", json!({ "specularFactor": factor, "specularColorFactor": color.to_array() }));
     }
     if !ext.is_empty() {
@@ -183,8 +206,18 @@ pub(super) fn material(m: &Material, thickness: f32, textures: &Textures, w: &mu
     value
 }
 
+/// specularFactor and specularColorFactor that make `specular` of a full reflectance `full`.
+fn specular_of(specular: Vec3, full: f32) -> (f32, Vec3) {
+    let color = if full > 0.0 { specular / full } else { Vec3::ZERO };
+    let factor = color.max_element().min(1.0);
+    (factor, if factor > 0.0 { color / factor } else { Vec3::ONE })
+}
+
 /// Metalness and roughness that say most about a native material.
 fn metallic_roughness(m: &Material) -> (f32, f32) {
+    if let Some(Physical { metallic, roughness, .. }) = m.physical {
+        return (metallic, roughness);
+    }
     if m.mirror > 0.0 || (m.transmission > 0.0 && !m.thin) {
         return (m.mirror, 0.0);
     }
@@ -192,20 +225,24 @@ fn metallic_roughness(m: &Material) -> (f32, f32) {
         return (0.0, 1.0);
     }
     let roughness = roughness_from_shininess(m.shininess);
-    ((1.0 - m.diffuse).clamp(0.0, 1.0), roughness.clamp(2.0 * POLISHED, 1.0))
+    ((1.0 - m.diffuse).clamp(0.0, 1.0), roughness.clamp(NOT_POLISHED, 1.0))
 }
 
 /// The material that an import makes of base colour, ior, transmission, metalness and roughness alone.
 fn implied(m: &Material, metallic: f32, roughness: f32) -> Material {
     let mut out = Material { base_color: m.base_color.clamp(Vec3::ZERO, Vec3::ONE), ..Material::default() };
     out.attenuation_color = m.attenuation_color.clamp(Vec3::ZERO, Vec3::ONE);
-    if roughness <= POLISHED {
-        out.mirror = metallic;
-    } else {
-        out.shininess = shininess_from_roughness(roughness);
-        out.diffuse = 1.0 - metallic;
-        out.specular = Vec3::splat(f0(m.ior) * (1.0 - roughness)).lerp(out.base_color, metallic);
-    }
+    let physical = Physical {
+        metallic,
+        roughness,
+        metallic_roughness_texture: None,
+        reflectance: Vec3::splat(f0(m.ior)),
+        transmission: 0.0,
+        transmission_texture: None,
+        blended: false,
+    };
+    let look = physical.look(out.base_color, PhysicalPlace { metallic, roughness, transmission: 0.0, coverage: 1.0 });
+    (out.diffuse, out.specular, out.shininess, out.mirror) = (look.diffuse, look.specular, look.shininess, look.mirror);
     out
 }
 
@@ -213,8 +250,10 @@ fn implied(m: &Material, metallic: f32, roughness: f32) -> Material {
 /// are all written: they hang together.
 fn own_fields(m: &Material, implied: &Material) -> Map<String, Value> {
     let mut own = Map::new();
+    let native = m.physical.is_none();
+    let look = ["diffuse", "specular", "shininess", "mirror", "thin", "transmission", "emissive"];
     let mut put = |name: &str, differs: bool, v: Value| {
-        if differs {
+        if differs && (native || !look.contains(&name)) {
             own.insert(name.into(), v);
         }
     };
@@ -228,7 +267,7 @@ fn own_fields(m: &Material, implied: &Material) -> Map<String, Value> {
     put("emissive", m.thin, json!(m.emissive.to_array()));
     put("schlick", m.schlick, json!(true));
     put("priority", m.priority != 0, json!(m.priority));
-    put("base_color", m.base_color != implied.base_color || m.thin, json!(m.base_color.to_array()));
+    put("base_color", m.base_color != implied.base_color || (m.thin && native), json!(m.base_color.to_array()));
     let attenuation = m.attenuation_color;
     put("attenuation_color", attenuation != implied.attenuation_color, json!(attenuation.to_array()));
     own

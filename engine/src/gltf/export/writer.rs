@@ -83,7 +83,7 @@ impl Writer {
         if !self.bin.is_empty() {
             self.root.insert("buffers".into(), json!([{ "byteLength": self.bin.len() }]));
         }
-        let mut text = serde_json::to_vec(&self.root)?;
+        let mut text = serde_json::to_vec(&self.root).map_err(|e| GltfError::Export(e.to_string()))?;
         text.resize(text.len().next_multiple_of(4), b' ');
         let chunks: &[(&[u8; 4], &[u8])] = &[(b"JSON", &text), (b"BIN\0", &self.bin)];
         let chunks = if self.bin.is_empty() { &chunks[..1] } else { chunks };

@@ -38,11 +38,11 @@ struct TextureRef {
     width: u32,
     uv_row1: vec3f,
     height: u32,
-    // First texel in the heap, or NO_TEXTURE.
+    // First texel in the heap, or NO_TEXTURE; the smaller copies follow the image.
     first_texel: u32,
     wrap_u: u32,
     wrap_v: u32,
-    // TEXTURE_NEAREST | TEXTURE_SRGB | TEXTURE_UV1
+    // TEXTURE_NEAREST | TEXTURE_SRGB | TEXTURE_UV1 | TEXTURE_NEAREST_MIN | TEXTURE_MIP_NEAREST | TEXTURE_MIP_LINEAR
     flags: u32,
 }
 
@@ -63,8 +63,17 @@ struct Material {
     normal_texture: TextureRef,
     normal_scale: f32,
     alpha: f32,
+    metallic: f32,
+    roughness: f32,
+    metallic_roughness_texture: TextureRef,
+    transmission_texture: TextureRef,
+    reflectance: vec3f,
+    // PHYSICAL | PHYSICAL_BLENDED; 0: the fields above the textures hold everywhere.
+    physical: u32,
+    physical_transmission: f32,
     unused0: u32,
     unused1: u32,
+    unused2: u32,
 }
 
 struct Light {
@@ -111,9 +120,4 @@ fn normalize_or(v: vec3f, fallback: vec3f) -> vec3f {
         return v * inverseSqrt(length_squared);
     }
     return fallback;
-}
-
-// Share of the matte and ambient terms: (1 - mirror)(1 - transmission).
-fn matte_weight(material: Material) -> f32 {
-    return (1.0 - material.mirror) * (1.0 - material.transmission);
 }

@@ -51,6 +51,36 @@ fn texture_footprint(r: TextureRef, uv: vec2f) -> Footprint {
     );
 }
 
+// A level of a texture as a texture of its own, read as one that is smaller than a pixel is. Twin: Texture::sample_level.
+fn texture_level(r: TextureRef, level: u32) -> TextureRef {
+    var out = r;
+    for (var l = 0u; l < level; l += 1u) {
+        out.first_texel += max(r.width >> l, 1u) * max(r.height >> l, 1u);
+    }
+    out.width = max(r.width >> level, 1u);
+    out.height = max(r.height >> level, 1u);
+    out.flags = r.flags & ~TEXTURE_NEAREST;
+    if (r.flags & TEXTURE_NEAREST_MIN) != 0u {
+        out.flags |= TEXTURE_NEAREST;
+    }
+    return out;
+}
+
+// Number of a texture's levels less one. Twin: Texture::level_count.
+fn texture_last_level(r: TextureRef) -> u32 {
+    return firstLeadingBit(max(r.width, r.height));
+}
+
+// Twin: trace/surface.rs, texture_lod.
+fn texture_lod(r: TextureRef, per_area: f32, footprint: f32) -> f32 {
+    let determinant = abs(r.uv_row0.x * r.uv_row1.y - r.uv_row0.y * r.uv_row1.x);
+    let texels = determinant * per_area * footprint * (f32(r.width) * f32(r.height));
+    if texels > 1.0 && texels < FAR_AWAY {
+        return 0.5 * log2(texels);
+    }
+    return 0.0;
+}
+
 // Alpha of four RGBA8 texels of a footprint, filtered.
 fn filtered_alpha(texels: vec4u, fraction: vec2f) -> f32 {
     let a = vec4f(texels >> vec4u(24u)) / 255.0;

@@ -1,0 +1,91 @@
+#import shared/scene
+
+// How one place of a surface splits light. Twin: engine/src/material.rs, Look.
+struct Look {
+    specular: vec3f,
+    shininess: f32,
+    diffuse: f32,
+    mirror: f32,
+    transmission: f32,
+}
+
+// Factors of a physical material at one place, each in [0, 1]. Twin: PhysicalPlace.
+struct PhysicalPlace {
+    metallic: f32,
+    roughness: f32,
+    transmission: f32,
+    coverage: f32,
+}
+
+// Twin: shininess_from_roughness.
+fn shininess_from_roughness(r: f32) -> f32 {
+    let alpha = r * r;
+    return clamp(2.0 / max(alpha * alpha, 1e-12) - 2.0, 0.0, MAX_SHININESS);
+}
+
+// Twin: Physical::look.
+fn physical_look(reflectance: vec3f, base_color: vec3f, at: PhysicalPlace) -> Look {
+    var out: Look;
+    if at.roughness <= POLISHED {
+        out = Look(vec3f(0.0), 32.0, 1.0, at.metallic, at.transmission);
+    } else {
+        let polish = max((NOT_POLISHED - at.roughness) / (NOT_POLISHED - POLISHED), 0.0);
+        let mirror = at.metallic * polish;
+        let rest = 1.0 - mirror;
+        var t = 0.0;
+        if rest > 0.0 {
+            t = min(at.transmission * (1.0 - at.metallic) / rest, 1.0);
+        }
+        let matte = rest * (1.0 - t);
+        var diffuse = 0.0;
+        if matte > 0.0 {
+            diffuse = clamp((1.0 - at.metallic) * (1.0 - at.transmission) / matte, 0.0, 1.0);
+        }
+        let dielectric = reflectance * (1.0 - at.roughness);
+        let specular = (dielectric + (base_color - dielectric) * at.metallic) * (1.0 - polish);
+        out = Look(specular, shininess_from_roughness(at.roughness), diffuse, mirror, t);
+    }
+    if at.coverage < 1.0 {
+        out.specular *= at.coverage;
+        out.mirror *= at.coverage;
+        out.transmission = min((1.0 - at.coverage) / max(1.0 - out.mirror, MIN_POSITIVE), 1.0);
+    }
+    return out;
+}
+
+// A place's factors and whether the tracer has work there, in one normal float: over 0.5 where it has, else below -0.5.
+// Seven bits each, eight for roughness; what decides between kinds of surface stays on its side of the decision.
+fn pack_place(at: PhysicalPlace, traced: bool) -> f32 {
+    let m = max(u32(at.metallic * 127.0 + 0.5), select(0u, 1u, at.metallic > 0.0));
+    let t = max(u32(at.transmission * 127.0 + 0.5), select(0u, 1u, at.transmission > 0.0));
+    let a = min(u32(at.coverage * 127.0 + 0.5), select(127u, 126u, at.coverage < 1.0));
+    let polished = u32(POLISHED * 255.0);
+    let code = u32(at.roughness * 255.0 + 0.5);
+    let r = select(max(code, polished + 1u), min(code, polished), at.roughness <= POLISHED);
+    let bits = 0x40000000u | (m << 22u) | (r << 14u) | (t << 7u) | a;
+    return bitcast<f32>(select(0x80000000u, 0u, traced) | bits);
+}
+
+fn unpack_place(packed: f32) -> PhysicalPlace {
+    let bits = bitcast<u32>(packed);
+    return PhysicalPlace(
+        f32((bits >> 22u) & 127u) / 127.0,
+        f32((bits >> 14u) & 255u) / 255.0,
+        f32((bits >> 7u) & 127u) / 127.0,
+        f32(bits & 127u) / 127.0,
+    );
+}
+
+// The look of a pixel. * `packed`: the fourth channel of the G-buffer's base colour
+fn look_of(material: Material, base_color: vec3f, packed: f32) -> Look {
+    if (material.physical & PHYSICAL) != 0u {
+        return physical_look(material.reflectance, base_color, unpack_place(packed));
+    }
+    return Look(
+        material.specular, material.shininess, material.diffuse, material.mirror, material.transmission);
+}
+
+// Share of the matte and ambient terms: (1 - mirror)(1 - transmission).
+fn matte_weight(look: Look) -> f32 {
+    return (1.0 - look.mirror) * (1.0 - look.transmission);
+}
