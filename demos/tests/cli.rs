@@ -121,7 +121,7 @@ fn what_this_version_lacks_is_said_and_never_replaced() {
         fails(&[&["bench", "rolling-box"], choice].concat(), 1, choice[0]);
         assert!(files(&out).is_empty());
     }
-    fails(&["replay", "game.rec"], 1, "replay");
+    fails(&["replay", "no-such-game.replay"], 1, "cannot be read");
 }
 
 #[test]

@@ -224,8 +224,8 @@ pub struct ExportArgs {
 pub struct ReplayArgs {
     /// The recording
     pub file: PathBuf,
-    /// Worker threads
-    #[arg(long, value_name = "N")]
+    /// Worker threads; they change nothing but the time it takes [default: one a processor]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
     pub threads: Option<u32>,
 }
 
