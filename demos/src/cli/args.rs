@@ -227,6 +227,12 @@ pub struct ReplayArgs {
     /// Worker threads; they change nothing but the time it takes [default: one a processor]
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
     pub threads: Option<u32>,
+    /// Writes the last frame as a PNG, too
+    #[arg(long, value_name = "FILE.png")]
+    pub picture: Option<PathBuf>,
+    /// Size of that picture; the hashes are of the size in the recording
+    #[arg(long, value_name = "WxH", value_parser = parse_size, default_value = "1280x720", requires = "picture")]
+    pub size: Size,
 }
 
 fn positive_seconds(text: &str) -> Result<f64, String> {

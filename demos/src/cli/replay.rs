@@ -4,7 +4,8 @@ use super::{
     args::ReplayArgs,
     failure::{Failure, line},
 };
-use crate::game::{Recording, replay};
+use crate::game::{Recording, last_frame, play_out, replay};
+use catoptra_render_hybrid::{Layer, image_io};
 
 /// Largest recording that is read: a day of keys is a few megabytes.
 const MOST_BYTES: u64 = 64 << 20;
@@ -19,6 +20,13 @@ pub fn run(args: &ReplayArgs) -> Result<(), Failure> {
     let bytes = std::fs::read(&args.file).map_err(|e| told(format!("cannot be read: {e}")))?;
     let text = String::from_utf8(bytes).map_err(|_| told("this is no recording (not text)".into()))?;
     let recording = Recording::parse(&text).map_err(|e| told(format!("this is no recording: {e}")))?;
+    if let Some(path) = &args.picture {
+        let run = play_out(&recording).map_err(|e| told(e.to_string()))?;
+        let size = (args.size.0, args.size.1);
+        let frame = last_frame(&run, size, args.threads.unwrap_or(0) as usize).map_err(|e| told(e.to_string()))?;
+        let srgb8 = image_io::srgb8_from_layer(Layer::Final, &frame, 0.0);
+        image_io::write_png(path, frame.width, frame.height, &srgb8)?;
+    }
     let end = replay(&recording, args.threads.unwrap_or(0) as usize).map_err(|e| told(e.to_string()))?;
     let (game, level, moves) = (recording.kind.name(), end.level + 1, end.moves);
     let won = if end.won { "won" } else { "open" };

@@ -22,7 +22,7 @@ pub use boxes::{BoxLevel, BoxState, Tile};
 pub use cube::{Dir, Hue, Orient};
 pub use level::{Body, Level, LevelError, level, level_count};
 pub use putt::{AIMS, POWERS, PuttLevel, PuttState, Shot, aim_direction, shot_speed};
-pub use replay::{Recording, ReplayError, Replayed, replay};
+pub use replay::{Recording, ReplayError, Replayed, last_frame, play_out, replay};
 pub use run::{Pointer, Run};
 pub use session::{Move, Outcome, Session, State};
 

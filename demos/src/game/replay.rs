@@ -14,7 +14,7 @@
 //! ```
 
 use super::{Action, Kind, Run, level};
-use catoptra_render_hybrid::{RasterLane, RenderSettings, Renderer, RendererOptions};
+use catoptra_render_hybrid::{Image, RasterLane, RenderSettings, Renderer, RendererOptions};
 use std::fmt;
 
 /// What the first line says.
@@ -199,6 +199,33 @@ fn size_of(text: &str) -> Option<(u32, u32)> {
 /// # Errors
 /// Where the level has changed, or the last frame cannot be made.
 pub fn replay(recording: &Recording, threads: usize) -> Result<Replayed, ReplayError> {
+    let run = play_out(recording)?;
+    let frame = last_frame(&run, recording.size, threads)?;
+    Ok(Replayed {
+        state: run.state_hash(),
+        frame: frame.hash(),
+        level: run.number(),
+        won: run.session().won(),
+        moves: run.session().moves,
+    })
+}
+
+/// The frame that a run stands at, on the CPU lane at the interactive preset.
+///
+/// # Errors
+/// Where it cannot be made.
+pub fn last_frame(run: &Run, (width, height): (u32, u32), threads: usize) -> Result<Image, ReplayError> {
+    let failed = |e: catoptra_render_hybrid::RenderError| ReplayError::Frame(e.to_string());
+    let options = RendererOptions { raster: RasterLane::Cpu, threads, ..RendererOptions::default() };
+    let settings = RenderSettings { width, height, ..RenderSettings::default() };
+    Ok(Renderer::new(options).map_err(failed)?.render(run.scene(), &settings).map_err(failed)?.image)
+}
+
+/// Plays all steps of a recording without a window.
+///
+/// # Errors
+/// Where the level has changed.
+pub fn play_out(recording: &Recording) -> Result<Run, ReplayError> {
     let other = ReplayError::OtherLayout { game: recording.kind.name(), level: recording.level + 1 };
     let mut run = Run::new(recording.kind, recording.level).ok_or(other.clone())?;
     if run.level().layout != recording.layout {
@@ -213,18 +240,7 @@ pub fn replay(recording: &Recording, threads: usize) -> Result<Replayed, ReplayE
         rest = &rest[due..];
         run.step(&now);
     }
-    let failed = |e: catoptra_render_hybrid::RenderError| ReplayError::Frame(e.to_string());
-    let options = RendererOptions { raster: RasterLane::Cpu, threads, ..RendererOptions::default() };
-    let (width, height) = recording.size;
-    let settings = RenderSettings { width, height, ..RenderSettings::default() };
-    let frame = Renderer::new(options).map_err(failed)?.render(run.scene(), &settings).map_err(failed)?;
-    Ok(Replayed {
-        state: run.state_hash(),
-        frame: frame.image.hash(),
-        level: run.number(),
-        won: run.session().won(),
-        moves: run.session().moves,
-    })
+    Ok(run)
 }
 
 #[cfg(test)]

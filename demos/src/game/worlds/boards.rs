@@ -164,9 +164,9 @@ fn venus(level: &BoxLevel) -> (Stage, Board) {
     let looks = looks(&mut stage);
     let [w, d] = level.size.map(|n| f32::from(n) * CELL * 0.5);
     let (eye, _) = seat(level);
-    let eye = eye + Vec3::new(0.0, 0.1, 0.5);
-    let target = Vec3::new(0.0, 0.75, -d);
-    let (min, max) = (Vec3::new(-w - 1.2, -0.05, -d - 2.1), Vec3::new(w + 1.2, 3.6, eye.z + 3.4));
+    let eye = eye + Vec3::new(0.0, 0.1, 0.2);
+    let target = Vec3::new(0.0, 0.78, -d);
+    let (min, max) = (Vec3::new(-w - 1.2, -0.05, -d - 2.2), Vec3::new(w + 1.2, 3.7, eye.z + 3.0));
     let dark = Vec3::new(0.20, 0.20, 0.23);
     let walls = [dark, dark, Vec3::splat(0.15), dark, Vec3::new(0.30, 0.28, 0.32), Vec3::splat(0.03)];
     hall::closed(&mut stage, min, max, walls);
@@ -179,10 +179,19 @@ fn venus(level: &BoxLevel) -> (Stage, Board) {
         let lamp = hall::pane(&mut stage, place, Vec3::NEG_Z, [2.2, pitch * 0.42], looks.out);
         stage.world().entity_mut(lamp).insert(Look::Lamp(i));
     }
-    let meshes = statue::statue_meshes(2.5);
+    // Her mirror leans against the plinth, tilted up to the lamps: a plane shows the code that the folds scatter.
+    let silver = stage.material(Material::mirror(Vec3::new(0.95, 0.96, 0.98), 0.96));
+    let wood = stage.material(Material::lambert(Vec3::new(0.45, 0.30, 0.08)));
+    let glass = stage.mesh(shapes::cuboid(Vec3::new(0.86, 0.70, 0.01), [Vec3::ONE; 6]));
+    let frame = stage.mesh(shapes::cuboid(Vec3::new(0.92, 0.76, 0.012), [Vec3::ONE; 6]));
+    let lean = Quat::from_xyzw(-0.085_4, 0.0, 0.0, 0.996_347);
+    let foot = Vec3::new(0.0, 0.78, -d - 0.42);
+    stage.fixed(glass, silver, placed(foot, lean, 1.0));
+    stage.fixed(frame, wood, placed(foot + lean * Vec3::new(0.0, 0.0, -0.015), lean, 1.0));
+    let meshes = statue::statue_meshes(3.3);
     let bronze = stage.material(Material::mirror(Vec3::new(0.97, 0.95, 0.92), 0.94));
     let marble = stage.material(Material::mirror(Vec3::new(0.72, 0.68, 0.62), 0.12));
-    let place = placed(Vec3::new(0.0, 0.0, -d - 0.75), Quat::IDENTITY, 1.0);
+    let place = placed(Vec3::new(0.0, 0.0, -d - 1.15), Quat::IDENTITY, 1.0);
     let torso = stage.mesh(meshes.torso);
     stage.fixed(torso, bronze, place);
     let plinth = stage.mesh(meshes.plinth);
@@ -215,8 +224,12 @@ fn sponza(level: &BoxLevel) -> (Stage, Board) {
     hall::tiles(&mut stage, &board, level, &looks);
     for gate in 1..=3u8 {
         let z = (2.0 - f32::from(gate)) * 2.0 * ATRIUM_CELL;
-        let pane = hall::pane(&mut stage, Vec3::new(9.2, 1.5, z), Vec3::NEG_X, [1.15, 1.5], looks.out);
-        stage.world().entity_mut(pane).insert(Look::Gate(gate));
+        // The gate's glow, and its carpet, which a low side of the box shows first.
+        let pane = hall::pane(&mut stage, Vec3::new(8.9, 1.3, z), Vec3::NEG_X, [1.2, 1.3], looks.out);
+        let carpet = hall::block(&mut stage, Vec3::new(8.0, 0.0, z), Vec3::new(0.9, 0.02, 1.1), looks.out);
+        for part in [pane, carpet] {
+            stage.world().entity_mut(part).insert(Look::Gate(gate));
+        }
     }
     let half = ATRIUM_CELL * 0.5;
     let mirror = stage.material(Material::mirror(Vec3::new(0.86, 0.91, 0.95), 0.95));
@@ -236,7 +249,7 @@ fn sponza(level: &BoxLevel) -> (Stage, Board) {
     let sun = sway(Vec3::new(2.0, 17.0, 4.6), Vec3::new(1.6, 0.4, 0.4), [23.0, 17.0, 29.0], [0.0, 0.0, 0.8]);
     let aim = sway(Vec3::new(0.0, 0.0, -0.4), Vec3::new(0.6, 0.0, 0.3), [21.0, 17.0, 23.0], [0.3, 0.0, 0.0]);
     stage.spot(looking(sun, aim), WARM * (4.6 * 17.0 * 17.0), 0.14, 22.0, 32.0);
-    hall::viewer(&mut stage, Vec3::new(8.3, 2.5, 0.0), Vec3::new(0.0, 0.55, 0.0), 50.0);
+    hall::viewer(&mut stage, Vec3::new(6.9, 1.85, 0.0), Vec3::new(0.0, 0.62, 0.0), 50.0);
     (with(stage, looks), board)
 }
 
