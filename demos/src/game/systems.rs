@@ -115,6 +115,13 @@ type Balls<'w, 's> =
 fn act(mut game: ResMut<Game>, mut input: ResMut<Input>, board: Res<Board>, mut boxes: Boxes, mut balls: Balls) {
     let game = &mut *game;
     for action in input.0.drain(..) {
+        // Only the last of several aims or strengths in a row counts: a held key would else fill the queue.
+        let same = game.waiting.back().is_some_and(|last| {
+            matches!((last, action), (Action::Aim(_), Action::Aim(_)) | (Action::Power(_), Action::Power(_)))
+        });
+        if same {
+            game.waiting.pop_back();
+        }
         if game.waiting.len() < MOST_WAITING {
             game.waiting.push_back(action);
         }
