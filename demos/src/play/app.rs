@@ -276,7 +276,7 @@ impl App {
         shell.camera = picture.camera;
         shell.overlay.clone_from(&picture.overlay);
         let won_before = shell.hud.as_ref().is_some_and(|h| h.won.is_some());
-        shell.hud.clone_from(&picture.hud);
+        shell.learn(&picture.hud);
         let mut save = false;
         if let (false, Some(hud)) = (won_before, &shell.hud)
             && let Some(stars) = hud.won

@@ -33,6 +33,8 @@ pub struct Shell {
     pub menu: Option<Menu>,
     /// The game as the last picture showed it.
     pub hud: Option<Hud>,
+    /// Direction and strength that keys asked for, and when: pictures that were on their way know nothing of them.
+    pub turned: Option<((u8, u8), std::time::Instant)>,
     /// Figures of the last picture.
     pub figures: Figures,
     /// Times of all pictures.
@@ -60,6 +62,7 @@ impl Shell {
             settings,
             menu: None,
             hud: None,
+            turned: None,
             figures: Figures::default(),
             plot: Plot::default(),
             overlay: Overlay::default(),
@@ -69,6 +72,17 @@ impl Shell {
             thumbnails: Default::default(),
             message,
             stage: Rect::NOTHING,
+        }
+    }
+
+    /// Takes the game over as a picture shows it.
+    pub fn learn(&mut self, hud: &Option<Hud>) {
+        self.hud.clone_from(hud);
+        let lately = self.turned.filter(|(_, at)| at.elapsed() < std::time::Duration::from_secs(2));
+        if let (Some(hud), Some((putter, _))) = (&mut self.hud, lately)
+            && hud.putter.is_some()
+        {
+            hud.putter = Some(putter);
         }
     }
 
@@ -89,6 +103,7 @@ impl Shell {
             Command::Screenshot => wishes.screenshot = true,
             Command::Layer => controls.layer = panel::next_layer(controls.layer),
             Command::Games => self.leave(controls),
+            Command::Pause if controls.target.is_none() => wishes.quit = true,
             Command::Pause if controls.photo.is_some() => self.end_photo(controls),
             Command::Pause => self.toggle_pause(controls),
             Command::Photo if controls.target.is_some() => match controls.photo {
@@ -140,14 +155,14 @@ impl Shell {
                 (Action::Level(_), _) => hud.won = None,
                 _ => {}
             }
+            if matches!(action, Action::Aim(_) | Action::Power(_)) {
+                self.turned = hud.putter.map(|putter| (putter, std::time::Instant::now()));
+            }
             controls.once.actions.push(action);
         }
     }
 
     fn toggle_pause(&mut self, controls: &mut Controls) {
-        if controls.target.is_none() {
-            return;
-        }
         self.menu = if self.menu.is_some() { None } else { Some(Menu::Pause) };
         controls.paused = self.menu.is_some();
     }
@@ -298,6 +313,7 @@ fn display(ui: &Ui, shell: &Shell, hud: &Hud, controls: &mut Controls) {
         }
     });
     over(ui, "display.moves", rect, Align2::RIGHT_TOP, |ui| {
+        ui.style_mut().wrap_mode = Some(egui::TextWrapMode::Extend);
         let (moves, par) = hud.moves;
         let what = if hud.putter.is_some() { "Putts" } else { "Moves" };
         ui.label(white(format!("{what} {moves}   Par {par}")).size(20.0));
@@ -309,6 +325,7 @@ fn display(ui: &Ui, shell: &Shell, hud: &Hud, controls: &mut Controls) {
         }
     });
     over(ui, "display.buttons", rect, Align2::CENTER_BOTTOM, |ui| {
+        ui.style_mut().wrap_mode = Some(egui::TextWrapMode::Extend);
         ui.horizontal(|ui| {
             let key = |c: Command| shell.settings.key(c).to_string();
             let mut push = |ui: &mut Ui, on: bool, name: &str, command: Command, action: Action| {
@@ -532,7 +549,7 @@ fn picker(ui: &mut Ui, shell: &mut Shell, controls: &mut Controls, wishes: &mut 
             ui.vertical(|ui| {
                 ui.set_width(250.0);
                 ui.small(
-                    "1-5 or click: play. Arrow keys move, Escape opens the menu with settings and keys, F1 the panel.",
+                    "1-5 or click: play. Arrow keys move, Escape opens the menu with settings and keys (here: quits), F1 the panel.",
                 );
                 if !shell.message.is_empty() {
                     ui.small(&shell.message);

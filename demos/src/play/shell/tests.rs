@@ -38,7 +38,7 @@ fn harness(model: Model) -> Harness<'static, Model> {
             m.wishes = wishes;
         }
     };
-    let mut harness = Harness::builder().with_size([1280.0, 900.0]).build_ui_state(show, model);
+    let mut harness = Harness::builder().with_size([1280.0, 1700.0]).build_ui_state(show, model);
     harness.run();
     harness
 }
@@ -106,6 +106,10 @@ fn keys_act_by_their_commands() {
     for command in [Command::West, Command::West, Command::North, Command::South, Command::Strike] {
         m.shell.command(command, &mut m.controls);
     }
+    // A picture that was made before the keys were pressed does not set them back.
+    m.shell.learn(&Some(Hud { putter: Some((0, 5)), ..hud(None) }));
+    m.shell.command(Command::West, &mut m.controls);
+    assert_eq!(m.controls.once.actions.pop(), Some(Action::Aim(61)));
     let wanted = vec![Action::Aim(63), Action::Aim(62), Action::Power(4), Action::Putt];
     assert_eq!(m.controls.once.actions, wanted, "aims count on, and strength ends at its most");
     m.shell.command(Command::Pause, &mut m.controls);
