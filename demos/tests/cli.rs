@@ -121,7 +121,7 @@ fn what_this_version_lacks_is_said_and_never_replaced() {
         fails(&[&["bench", "rolling-box"], choice].concat(), 1, choice[0]);
         assert!(files(&out).is_empty());
     }
-    fails(&["replay", "game.rec"], 1, "replay");
+    fails(&["replay", "no-such-game.replay"], 1, "cannot be read");
 }
 
 #[test]
@@ -180,7 +180,49 @@ fn unwritable_places_are_told() {
 fn play_without_a_display_names_render() {
     fails(&["play", "two-spheres", "--raster", "cpu"], 1, "catoptra render two-spheres");
     fails(&["play", "--raster", "cpu"], 1, "catoptra render all");
-    fails(&["play", "--record", "game.rec"], 1, "--record");
+    fails(&["play", "two-spheres", "--record", "game.replay"], 1, "catoptra render two-spheres");
+    fails(&["play", "two-spheres", "--watch", "--record", "game.replay"], 2, "only games are recorded");
+    assert!(!Path::new("game.replay").exists());
+}
+
+#[test]
+fn replay_prints_hashes_and_refuses_what_is_no_recording() {
+    let shipped = PathBuf::from(env!("CARGO_MANIFEST_DIR")).join("replays/two-spheres-1.replay");
+    let recorded = std::fs::read_to_string(&shipped).unwrap();
+    let mut told = Vec::new();
+    for threads in ["1", "2"] {
+        let output = catoptra(&["replay", text(&shipped), "--threads", threads]);
+        assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+        told.push(stdout(&output));
+    }
+    assert_eq!(told[0], told[1]);
+    let hashes: Vec<&str> = told[0].lines().filter_map(|l| l.split_once("hash=").map(|h| h.1)).collect();
+    let lines: Vec<&str> = recorded.lines().collect();
+    let ends = [format!("state {}", hashes[0]), format!("frame {}", hashes[1])];
+    assert!(hashes.len() == 2 && ends.iter().all(|e| lines.contains(&e.as_str())), "{}", told[0]);
+    assert!(told[0].starts_with("replay game=two-spheres level=1 ") && told[0].contains(" result=won\n"));
+
+    let out = folder("replay");
+    let picture = out.join("last.png");
+    let output = catoptra(&["replay", text(&shipped), "--picture", text(&picture), "--size", "32x18"]);
+    assert_eq!(output.status.code(), Some(0), "{}", stderr(&output));
+    assert_eq!(image_io::read_image(&picture).unwrap().linear.width, 32);
+    let broken = out.join("broken.replay");
+    for (bytes, part) in [
+        (recorded.replace(hashes[0], "0123456789abcdef").into_bytes(), "its state was 0123456789abcdef"),
+        (recorded.replace(hashes[1], "0123456789abcdef").into_bytes(), "its last frame was 0123456789abcdef"),
+        (recorded.replace("putt", "pat").into_bytes(), "there is no such action"),
+        (recorded[..recorded.len() / 2].as_bytes().to_vec(), "this is no recording"),
+        (b"\x89PNG\r\n".to_vec(), "this is no recording"),
+        (Vec::new(), "this is no recording"),
+    ] {
+        std::fs::write(&broken, bytes).unwrap();
+        let output = catoptra(&["replay", text(&broken)]);
+        let line = stderr(&output);
+        assert_eq!((output.status.code(), line.lines().count()), (Some(1), 1), "{line}");
+        assert!(line.contains(part) && !line.contains("panicked"), "{line}");
+    }
+    fails(&["replay", text(&shipped), "--threads", "0"], 2, "--threads");
 }
 
 #[test]

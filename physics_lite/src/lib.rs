@@ -16,7 +16,7 @@ mod tipping_box;
 pub use interpolation::{PreviousPose, interpolated};
 pub use path::{Path, PathFollower, Sine};
 pub use ring::RollingRing;
-pub use rolling_sphere::RollingSphere;
+pub use rolling_sphere::{RollingSphere, step_spheres_together};
 pub use spinning::Spinning;
 pub use tipping_box::{FloorRect, TippingBox, TurnRule};
 
@@ -27,6 +27,10 @@ use glam::{Mat3, Quat};
 
 /// Acceleration of free fall, m/s².
 pub const GRAVITY: f64 = 9.81;
+
+/// All motion of this crate within [`FixedUpdate`]: what steers bodies goes before it, what reads where they came to, after.
+#[derive(SystemSet, Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Motion;
 
 /// Adds all motion of this crate to [`FixedUpdate`], and poses all bodies for step 0 at start-up.
 #[derive(Default)]
@@ -55,7 +59,7 @@ impl Plugin for PhysicsLitePlugin {
             spinning::pose_spinning,
             path::pose_followers,
         );
-        app.add_systems(FixedUpdate, step.chain());
+        app.add_systems(FixedUpdate, step.chain().in_set(Motion));
     }
 }
 

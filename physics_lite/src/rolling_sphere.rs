@@ -117,8 +117,9 @@ fn collide(a: &mut RollingSphere, b: &mut RollingSphere) {
     b.place += n * (overlap / (b.mass * weight));
 }
 
-/// One fixed step of all spheres, in the given order.
-pub(crate) fn step_all(spheres: &mut [RollingSphere]) {
+/// One fixed step of spheres that share a floor, in the given order (in a world: that of their `StableId`). For games that
+/// look ahead: the same numbers as in [`catoptra_engine::FixedUpdate`].
+pub fn step_spheres_together(spheres: &mut [RollingSphere]) {
     for s in spheres.iter_mut() {
         s.roll();
         s.bounce_off_walls();
@@ -139,7 +140,7 @@ pub(crate) fn step_spheres(mut query: Query<(Entity, &StableId, &mut RollingSphe
     let mut rows: Vec<(StableId, Entity, RollingSphere)> = query.iter().map(|(e, id, s)| (*id, e, s.clone())).collect();
     rows.sort_by_key(|r| (r.0, r.1));
     let mut spheres: Vec<RollingSphere> = rows.iter().map(|r| r.2.clone()).collect();
-    step_all(&mut spheres);
+    step_spheres_together(&mut spheres);
     for ((_, entity, before), after) in rows.into_iter().zip(spheres) {
         if before != after
             && let Ok((_, _, mut s)) = query.get_mut(entity)

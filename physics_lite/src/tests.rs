@@ -144,7 +144,7 @@ fn spheres_roll_without_slipping() {
         let foot =
             glam::DVec3::new(s[0].velocity.x, 0.0, s[0].velocity.y) + s[0].angular_velocity().cross(-up * s[0].radius);
         assert!(foot.length() < 1e-12, "the foot moves by {foot}");
-        rolling_sphere::step_all(&mut s);
+        rolling_sphere::step_spheres_together(&mut s);
         // The pose follows: distance rolled = angle turned × radius (unless it bounced in this step).
         let rolled = (s[0].place - before).length();
         let turned = f64::from((s[0].rotation * rotation.inverse()).normalize().w.abs());
@@ -160,7 +160,7 @@ fn a_roll_of_one_circumference_is_one_turn() {
     let circumference = std::f64::consts::TAU * 0.25;
     let mut s = [ball(DVec2::new(-1.0, 0.0), DVec2::new(circumference, 0.0))];
     for _ in 0..60 {
-        rolling_sphere::step_all(&mut s);
+        rolling_sphere::step_spheres_together(&mut s);
     }
     assert!((s[0].place.x - (circumference - 1.0)).abs() < 1e-12);
     assert!((s[0].rotation * Vec3::X - Vec3::X).length() < 1e-4, "back where it was");
@@ -182,7 +182,7 @@ fn collisions_conserve_momentum_and_keep_the_stated_share_of_speed() {
         let mut met = false;
         for _ in 0..60 {
             let was = [s[0].velocity, s[1].velocity];
-            rolling_sphere::step_all(&mut s);
+            rolling_sphere::step_spheres_together(&mut s);
             if s[0].velocity != was[0] {
                 met = true;
                 let n = (s[1].place - s[0].place).normalize();
@@ -206,7 +206,7 @@ fn collisions_conserve_momentum_and_keep_the_stated_share_of_speed() {
 fn equal_spheres_swap_velocities_head_on() {
     let mut s = [ball(DVec2::new(-0.4, 0.0), DVec2::new(1.0, 0.0)), ball(DVec2::new(0.2, 0.0), DVec2::ZERO)];
     for _ in 0..30 {
-        rolling_sphere::step_all(&mut s);
+        rolling_sphere::step_spheres_together(&mut s);
     }
     assert!(s[0].velocity.length() < 1e-12 && (s[1].velocity - DVec2::new(1.0, 0.0)).length() < 1e-12);
 }
@@ -221,7 +221,7 @@ fn a_million_steps_of_spheres_stay_finite_and_inside() {
     let energy = |s: &[RollingSphere]| s[..2].iter().map(|x| x.velocity.length_squared()).sum::<f64>();
     let before = energy(&s);
     for _ in 0..1_000_000 {
-        rolling_sphere::step_all(&mut s);
+        rolling_sphere::step_spheres_together(&mut s);
         for x in &s[..2] {
             assert!(x.place.abs().max_element() <= 1.75 + 1e-12, "{}", x.place);
         }
@@ -333,4 +333,41 @@ fn bodies_at_rest_are_not_written() {
     app.world_mut().spawn((StableId(6), ball(DVec2::new(-1.0, 0.0), DVec2::X)));
     app::advance(&mut app, 10);
     assert!(app.world().resource::<Written>().0 >= 10);
+}
+
+#[test]
+fn a_box_that_waits_tips_when_told_and_lies_as_laid() {
+    let area = FloorRect { min: [-2.0, -2.0], max: [2.0, 2.0] };
+    let mut body = TippingBox::new(Vec3::splat(0.25), Vec3::ZERO, area, 0);
+    body.turn = TurnRule::Wait;
+    for _ in 0..100 {
+        body.step();
+    }
+    assert!(!body.is_tipping() && body.pose().translation == Vec3::Y * 0.25, "it waits");
+    assert_eq!((0..6).map(|w| body.side_towards(w)).collect::<Vec<_>>(), [0, 1, 2, 3, 4, 5]);
+    for (heading, towards) in [(0, Vec3::X), (1, Vec3::NEG_Z), (2, Vec3::NEG_X), (3, Vec3::Z)] {
+        let before = body.pose().translation;
+        let top = body.side_towards(3);
+        assert!(body.tip(heading) && !body.tip(heading), "one at a time");
+        for _ in 0..200 {
+            body.step();
+        }
+        assert!((body.pose().translation - before - towards * 0.5).length() < 1e-5);
+        // What was on top looks the way it went.
+        assert_eq!(body.side_towards([1, 4, 0, 5][heading]), top);
+    }
+    // Any of the 24 ways to lie, and the pose agrees with the numbers.
+    let sides = [Vec3::NEG_X, Vec3::X, Vec3::NEG_Y, Vec3::Y, Vec3::NEG_Z, Vec3::Z];
+    for up in 0..6 {
+        for east in (0..6).filter(|e| e / 2 != up / 2) {
+            body.lay(Vec3::new(0.5, 0.0, 0.5), up, east);
+            assert_eq!((body.side_towards(3), body.side_towards(1)), (up, east));
+            let rotation = body.pose().rotation;
+            assert!((rotation * sides[up] - Vec3::Y).length() < 1e-5, "{up} {east}");
+            assert!((rotation * sides[east] - Vec3::X).length() < 1e-5, "{up} {east}");
+        }
+    }
+    // Walls bar the way.
+    body.lay(Vec3::new(1.7, 0.0, 0.0), 3, 1);
+    assert!(!body.tip(0) && body.tip(2));
 }

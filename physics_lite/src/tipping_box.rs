@@ -43,6 +43,8 @@ pub enum TurnRule {
     Right,
     /// Back only: stays in its lane.
     Back,
+    /// Nowhere by itself: it rests until [`TippingBox::tip`] is called.
+    Wait,
 }
 
 /// Directions of travel, counter-clockwise seen from above: +X, -Z, -X, +Z.
@@ -227,17 +229,63 @@ impl TippingBox {
         self.area.contains(&r) && !self.obstacles.iter().any(|o| o.overlaps(&r))
     }
 
+    /// Begins to tip towards +X (0), -Z (1), -X (2) or +Z (3) with the next step. Returns false, and does nothing, while it
+    /// tips already or where area or obstacles bar the way.
+    pub fn tip(&mut self, heading: usize) -> bool {
+        let heading = heading % 4;
+        if self.tipping || !self.is_free(heading) {
+            return false;
+        }
+        self.heading = heading;
+        self.kick_off();
+        true
+    }
+
+    /// Which of the box's sides (0 to 5: -X, +X, -Y, +Y, -Z, +Z) looks towards the world's side of the same numbering, as it
+    /// lies or lay before the current tip.
+    pub fn side_towards(&self, world: usize) -> usize {
+        let axis = self.box_axis_along(world / 2);
+        let along = self.lattice[axis].1 > 0;
+        2 * axis + usize::from((world % 2 == 1) == along)
+    }
+
+    /// Lays the box down with side `east` towards world +X and side `up` on top (sides as in [`Self::side_towards`]), at rest,
+    /// its bottom centre at `start`.
+    ///
+    /// # Panics
+    /// Where the two sides lie on one axis.
+    pub fn lay(&mut self, start: Vec3, up: usize, east: usize) {
+        assert!(up / 2 != east / 2 && up < 6 && east < 6, "sides {up} and {east} do not meet");
+        let column = |axis: usize, side: usize| (axis, if side % 2 == 1 { 1 } else { -1 });
+        let third = 3 - up / 2 - east / 2;
+        self.lattice[up / 2] = column(1, up);
+        self.lattice[east / 2] = column(0, east);
+        self.lattice[third] = (2, 1);
+        if self.lattice_rotation().determinant() < 0.0 {
+            self.lattice[third].1 = -1;
+        }
+        self.start = start;
+        self.place = [[0; 3]; 2];
+        self.stop();
+        self.rest_left = 0;
+    }
+
     /// Chooses the next edge and kicks; stays at rest where every way is blocked.
     fn start_tip(&mut self) {
         let turns: &[usize] = match self.turn {
             TurnRule::Left => &[0, 1, 3, 2],
             TurnRule::Right => &[0, 3, 1, 2],
             TurnRule::Back => &[0, 2],
+            TurnRule::Wait => &[],
         };
         let Some(heading) = turns.iter().map(|t| (self.heading + t) % 4).find(|&h| self.is_free(h)) else {
             return;
         };
         self.heading = heading;
+        self.kick_off();
+    }
+
+    fn kick_off(&mut self) {
         let (a, b) = self.section();
         let r = (a * a + b * b).sqrt();
         // 2/3 r² ω² = kick · g (r - b)

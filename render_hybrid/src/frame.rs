@@ -20,6 +20,7 @@ use crate::{
     settings::{RasterLane, RenderSettings, Shadows, SimdLevel, VplShadows},
     trace::{
         camera_rays::{self, TracedLight},
+        explain::{self, RayTree},
         shade::FrameContext,
         whitted::{self, MaskedPixel},
     },
@@ -76,6 +77,31 @@ fn cpu_frame(
     moments(state, level, scene, settings, &mut frame.stats);
     virtual_lights(state, scene, settings, &mut frame.stats);
     pixels(state, level, scene, settings, frame);
+}
+
+/// The tree of rays behind a pixel, as the CPU lane makes it.
+pub(crate) fn explain_pixel(
+    state: &mut FrameState,
+    level: SimdLevel,
+    scene: &RenderScene,
+    settings: &RenderSettings,
+    (x, y): (u32, u32),
+) -> Result<RayTree, RenderError> {
+    if let Some(what) = settings.invalid() {
+        return Err(RenderError::Settings(what));
+    }
+    if x >= settings.width || y >= settings.height {
+        return Err(RenderError::Settings(format!(
+            "pixel ({x}, {y}) lies outside {}x{}",
+            settings.width, settings.height
+        )));
+    }
+    scene.validate()?;
+    let mut stats = FrameStats::default();
+    structures(state, scene, settings, &mut stats);
+    moments(state, level, scene, settings, &mut stats);
+    virtual_lights(state, scene, settings, &mut stats);
+    Ok(explain::explain(&context(state, level, scene, settings), x, y))
 }
 
 /// Light on the GPU, mirrors and glass on the CPU, at the same time.

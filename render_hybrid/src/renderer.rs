@@ -13,11 +13,12 @@ use crate::{
     settings::{GlassShadows, RasterLane, RenderSettings, RendererOptions, SimdLevel},
     simd,
     trace::{
+        explain::RayTree,
         photons::Photons,
         reference::{ReferenceAccumulator, ReferenceOptions},
         surface::NormalMatrices,
     },
-    twin::{interleave::Guide, shadow::ShadowMaps, tile::TileScratch, vpl_maps::VplMaps},
+    twin::{interleave::Guide, shadow::ShadowMaps, tile::TileScratch, vpl::Vpl, vpl_maps::VplMaps},
 };
 
 /// Makes pictures of scenes. Nothing is global: any number of renderers live side by side. `Send`.
@@ -224,6 +225,27 @@ impl Renderer {
         let state = &mut self.state;
         self.pool.install(|| update_structures(state, scene, GlassShadows::Opaque));
         Ok(SceneQuery { scene, accel: &self.state.accel, normals: &self.state.normals, pool: &self.pool })
+    }
+
+    /// Why the pixel in column `x` and row `y` of the picture that [`Self::render`] would make has its colour: all rays behind
+    /// it, as the CPU lane traces them. Costs shadow moments and VPLs of a frame, and no pixels.
+    ///
+    /// # Errors
+    /// As [`Self::render`], and [`RenderError::Settings`] for a pixel outside the picture.
+    pub fn explain(
+        &mut self,
+        scene: &RenderScene,
+        settings: &RenderSettings,
+        x: u32,
+        y: u32,
+    ) -> Result<RayTree, RenderError> {
+        let (level, state) = (self.level, &mut self.state);
+        self.pool.install(|| frame::explain_pixel(state, level, scene, settings, (x, y)))
+    }
+
+    /// The virtual point lights of the last frame, world space.
+    pub fn vpls(&self) -> &[Vpl] {
+        &self.state.photons.vpls
     }
 
     /// Adds `samples` samples per pixel of the path-traced truth to `accumulator`. Returns the number of rays.

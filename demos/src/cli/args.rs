@@ -1,6 +1,7 @@
 //! The subcommands and their arguments.
 
 use super::options::{PictureArgs, SceneArgs, Size, parse_size};
+use crate::play::WindowArg;
 use clap::{Args, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 
@@ -41,13 +42,22 @@ pub enum Command {
 }
 
 /// Arguments of `play`.
-#[derive(Clone, Debug, Args)]
+#[derive(Clone, Debug, Default, Args)]
 pub struct PlayArgs {
     /// Scene; a picker is shown when none is named
     pub scene: Option<String>,
-    /// Records the game for `replay`
+    /// Records the first game that is played, for `replay`
     #[arg(long, value_name = "FILE")]
     pub record: Option<PathBuf>,
+    /// Watches the scene instead of playing its game
+    #[arg(long)]
+    pub watch: bool,
+    /// Closes the window after S seconds and writes the frame times to out/NAME-times.svg
+    #[arg(long, value_name = "S", value_parser = positive_seconds)]
+    pub seconds: Option<f64>,
+    /// How pictures come into the window
+    #[arg(long, value_enum, default_value_t)]
+    pub window: WindowArg,
     /// How the picture is made
     #[command(flatten)]
     pub picture: PictureArgs,
@@ -224,9 +234,15 @@ pub struct ExportArgs {
 pub struct ReplayArgs {
     /// The recording
     pub file: PathBuf,
-    /// Worker threads
-    #[arg(long, value_name = "N")]
+    /// Worker threads; they change nothing but the time it takes [default: one a processor]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=1024))]
     pub threads: Option<u32>,
+    /// Writes the last frame as a PNG, too
+    #[arg(long, value_name = "FILE.png")]
+    pub picture: Option<PathBuf>,
+    /// Size of that picture; the hashes are of the size in the recording
+    #[arg(long, value_name = "WxH", value_parser = parse_size, default_value = "1280x720", requires = "picture")]
+    pub size: Size,
 }
 
 fn positive_seconds(text: &str) -> Result<f64, String> {

@@ -1,7 +1,7 @@
 //! The bare command: play, or, without a display, render the five scenes.
 
 use super::{
-    args::{Format, LayerArg},
+    args::{Format, LayerArg, PlayArgs},
     failure::{Failure, note},
     options::PictureArgs,
     render::{RenderJob, render},
@@ -13,7 +13,7 @@ use std::path::Path;
 /// Plays rolling-box; where no window can be had, says so and renders the five scenes to ./out.
 pub fn run() -> Result<(), Failure> {
     let picture = PictureArgs::default();
-    match play::play(Some("rolling-box"), &picture) {
+    match play::play(&PlayArgs { scene: Some("rolling-box".into()), ..PlayArgs::default() }) {
         Err(play::PlayError::NoWindow(why)) => {
             note(format!("{why}: rendering the five scenes to ./out instead"));
             let out = Path::new("out");

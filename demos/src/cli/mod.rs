@@ -16,6 +16,7 @@ mod options;
 mod progress;
 mod reference;
 mod render;
+mod replay;
 mod stats;
 mod target;
 mod world;
@@ -58,9 +59,7 @@ fn run(cli: Cli) -> Result<(), Failure> {
         Some(Command::Judge(args)) => judge::run(&args),
         Some(Command::Compare(args)) => compare::run(&args),
         Some(Command::Export(args)) => export::run(&args),
-        Some(Command::Replay(_)) => {
-            Err(Failure::missing("replay", "recorded games are not in this version; `render SCENE --frame K` is"))
-        }
+        Some(Command::Replay(args)) => replay::run(&args),
     }
 }
 

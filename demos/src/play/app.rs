@@ -1,53 +1,85 @@
 //! The window's thread: input in, the newest picture and the panel out.
 
 use super::{
-    PlayError,
-    panel::{self, Figures},
-    present::{PanelDrawing, Presenter, Stage},
+    PlayError, WindowArg,
+    keys::{self, Command},
+    present::{PanelDrawing, Stage},
     scene_by_number,
-    shared::{Controls, Picture, Shared},
+    screen::Screen,
+    settings::{self, Settings},
+    shared::{Answer, Controls, Picture, Requests, Shared, Thumbnail},
+    shell::{self, Menu, Shell, Wishes},
     worker::{self, Report},
 };
-use crate::cli::{Failure, PictureArgs, Target, note};
+use crate::cli::{Failure, PictureArgs, note};
 use catoptra_render_hybrid::image_io;
-use std::{path::PathBuf, sync::Arc, thread::JoinHandle, time::Instant};
+use std::{
+    path::PathBuf,
+    sync::Arc,
+    thread::JoinHandle,
+    time::{Duration, Instant},
+};
 use winit::{
     application::ApplicationHandler,
     dpi::PhysicalSize,
     event::{ElementState, KeyEvent, WindowEvent},
     event_loop::{ActiveEventLoop, ControlFlow, EventLoop},
-    keyboard::{Key, NamedKey},
-    window::{Window, WindowId},
+    window::{Fullscreen, Window, WindowId},
 };
 
 /// Opens the window and plays until it is closed.
-pub fn run(controls: Controls, picture: &PictureArgs) -> Result<(), PlayError> {
+/// * `record`: file for the first game's recording
+/// * `seconds`: closes the window after so long and writes the plot of frame times to `out`
+pub fn run(
+    mut controls: Controls,
+    picture: &PictureArgs,
+    record: Option<PathBuf>,
+    seconds: Option<f64>,
+    window: WindowArg,
+) -> Result<(), PlayError> {
     let event_loop = EventLoop::<Report>::with_user_event()
         .build()
         .map_err(|e| PlayError::NoWindow(format!("there is no display ({})", first_words(&e.to_string()))))?;
     event_loop.set_control_flow(ControlFlow::Wait);
     let renderer = picture.renderer()?;
+    let config = settings::path();
+    let (remembered, notice) = match &config {
+        Some(path) => Settings::load(path),
+        None => (Settings::default(), Some("there is no folder for settings: they last for this run".into())),
+    };
+    if let Some(notice) = &notice {
+        note(notice);
+    }
+    if picture.size.is_none() {
+        controls.scale = shell::scale_of(remembered.rate);
+    }
     let (shared, options) = (Arc::new(Shared::new(controls.clone())), picture.scene.options());
     let proxy = event_loop.create_proxy();
     let worker = {
         let shared = shared.clone();
         std::thread::Builder::new()
             .name("catoptra-play".into())
-            .spawn(move || worker::run(&shared, renderer, &options, |r| proxy.send_event(r).is_ok()))
+            .spawn(move || worker::run(&shared, renderer, &options, record, |r| proxy.send_event(r).is_ok()))
             .map_err(|e| PlayError::Other(Failure::other(e)))?
     };
     let mut app = App {
         shared,
         controls,
         open: None,
-        panel_shown: true,
-        figures: Figures::default(),
+        shell: Shell::new(remembered, notice.unwrap_or_default()),
+        config,
+        window,
         picture: None,
+        thumbnails: Vec::new(),
+        reopened: None,
         last_picture: Instant::now(),
-        message: String::new(),
+        until: seconds.map(|s| Instant::now() + Duration::from_secs_f64(s)),
         end: None,
     };
     let ran = event_loop.run_app(&mut app);
+    if seconds.is_some() {
+        app.save_plot();
+    }
     app.stop(worker);
     match (app.end, ran) {
         (Some(end), _) => Err(end),
@@ -67,18 +99,25 @@ struct App {
     shared: Arc<Shared>,
     controls: Controls,
     open: Option<Open>,
-    panel_shown: bool,
-    figures: Figures,
+    shell: Shell,
+    /// The settings' file.
+    config: Option<PathBuf>,
+    window: WindowArg,
     picture: Option<Picture>,
     last_picture: Instant,
-    message: String,
+    /// Pictures of the picker, for a screen that is made anew.
+    thumbnails: Vec<Thumbnail>,
+    /// When that was last done.
+    reopened: Option<Instant>,
+    /// When the window closes by itself.
+    until: Option<Instant>,
     /// Why the window closes, if not because the user wants it.
     end: Option<PlayError>,
 }
 
 struct Open {
     window: Arc<Window>,
-    presenter: Presenter,
+    screen: Screen,
     egui: egui_winit::State,
 }
 
@@ -102,24 +141,11 @@ impl ApplicationHandler<Report> for App {
 
     fn user_event(&mut self, event_loop: &ActiveEventLoop, report: Report) {
         match report {
-            Report::Picture => {
-                let (Some(picture), Some(open)) = (self.shared.take_picture(), &mut self.open) else { return };
-                if self.controls.target.is_none() {
-                    // It was on its way when the picker opened.
-                    return;
-                }
-                // While time stands still pictures come when something changes: their distance tells nothing.
-                let since_last = self.last_picture.elapsed().as_secs_f64() * 1e3;
-                let interval_ms = if self.controls.paused { picture.frame_ms } else { since_last };
-                self.last_picture = Instant::now();
-                self.figures.learn(&picture, interval_ms);
-                open.presenter.upload(&picture);
-                open.window.set_title(&format!("Catoptra - {}", picture.name));
-                self.picture = Some(picture);
-            }
+            Report::Picture => self.show_picture(),
+            Report::Answer => self.hear_answers(),
             Report::Unplayable(why) => {
                 note(&why);
-                self.message = why;
+                self.shell.message = why;
                 self.change(|c| c.target = None);
             }
             Report::Failed(failure) => {
@@ -129,6 +155,9 @@ impl ApplicationHandler<Report> for App {
         }
         if let Some(open) = &self.open {
             open.window.request_redraw();
+        }
+        if self.until.is_some_and(|until| Instant::now() >= until) {
+            event_loop.exit();
         }
     }
 
@@ -141,12 +170,12 @@ impl ApplicationHandler<Report> for App {
         match event {
             WindowEvent::CloseRequested => event_loop.exit(),
             WindowEvent::Resized(size) => {
-                open.presenter.resize(size.width, size.height);
+                open.screen.resize(size.width, size.height);
                 // The panel is laid out anew, which tells the picture's new size.
                 open.window.request_redraw();
             }
             WindowEvent::RedrawRequested => {
-                if let Err(why) = self.redraw() {
+                if let Err(why) = self.redraw(event_loop) {
                     self.end = Some(PlayError::Other(Failure::other(why)));
                     event_loop.exit();
                 }
@@ -165,19 +194,58 @@ impl ApplicationHandler<Report> for App {
 impl App {
     fn open_window(&self, event_loop: &ActiveEventLoop) -> Result<Open, String> {
         let size = PhysicalSize::new(self.controls.window.0, self.controls.window.1);
-        let attributes = Window::default_attributes().with_title("Catoptra").with_inner_size(size);
+        let full = self.shell.settings.fullscreen.then_some(Fullscreen::Borderless(None));
+        let attributes =
+            Window::default_attributes().with_title("Catoptra").with_inner_size(size).with_fullscreen(full);
         let window = event_loop.create_window(attributes).map_err(|e| format!("no window opens ({e})"))?;
-        let window = Arc::new(window);
-        let presenter = Presenter::new(window.clone(), event_loop.owned_display_handle())?;
+        self.furnish(Arc::new(window), event_loop)
+    }
+
+    /// Screen and panel of a window.
+    fn furnish(&self, window: Arc<Window>, event_loop: &ActiveEventLoop) -> Result<Open, String> {
+        let display = event_loop.owned_display_handle();
+        let screen = Screen::new(window.clone(), display, self.window, self.shell.settings.vsync)?;
         let egui = egui_winit::State::new(
             egui::Context::default(),
             egui::ViewportId::ROOT,
             &window,
             Some(window.scale_factor() as f32),
             window.theme(),
-            Some(presenter.max_texture_side()),
+            Some(screen.max_texture_side()),
         );
-        Ok(Open { window, presenter, egui })
+        Ok(Open { window, screen, egui })
+    }
+
+    /// Makes screen and drawing anew after the old ones were lost; gives up where that happens again and again.
+    fn reopen(&mut self, why: &str, event_loop: &ActiveEventLoop) -> Result<(), String> {
+        let soon = self.reopened.is_some_and(|at| at.elapsed() < Duration::from_secs(3));
+        let Some(Open { window, screen, .. }) = self.open.take() else { return Ok(()) };
+        // The old surface must go before the window can have another.
+        drop(screen);
+        if soon {
+            return Err(format!("{why} again; `--window cpu` needs no graphics driver"));
+        }
+        self.reopened = Some(Instant::now());
+        note(format!("{why}: the window is set up anew"));
+        self.open = Some(self.furnish(window, event_loop)?);
+        for thumbnail in std::mem::take(&mut self.thumbnails) {
+            self.keep_thumbnail(thumbnail);
+        }
+        if let (Some(open), Some(picture)) = (&mut self.open, &self.picture) {
+            open.screen.upload(picture);
+            open.window.request_redraw();
+        }
+        Ok(())
+    }
+
+    fn keep_thumbnail(&mut self, t: Thumbnail) {
+        if let Some(open) = &self.open {
+            let image = egui::ColorImage::from_rgba_unmultiplied([t.size.0 as usize, t.size.1 as usize], &t.rgba8);
+            let name = format!("play.thumbnail.{}", t.scene);
+            let texture = open.egui.egui_ctx().load_texture(name, image, egui::TextureOptions::LINEAR);
+            self.shell.thumbnails[t.scene] = Some(texture);
+        }
+        self.thumbnails.push(t);
     }
 
     /// Changes the wishes and tells the worker.
@@ -185,81 +253,151 @@ impl App {
         edit(&mut self.controls);
         self.shared.set_controls(self.controls.clone());
         // They are on their way now.
-        self.controls.steps = 0;
+        self.controls.once = Requests::default();
         if let Some(open) = &self.open {
             open.window.request_redraw();
         }
     }
 
-    fn key(&mut self, event_loop: &ActiveEventLoop, event: &KeyEvent) {
-        match &event.logical_key {
-            Key::Named(NamedKey::Escape) => event_loop.exit(),
-            Key::Named(NamedKey::F1) => {
-                self.panel_shown = !self.panel_shown;
-                self.change(|_| {});
-            }
-            Key::Named(NamedKey::Space) => self.change(|c| c.paused = !c.paused),
-            Key::Character(text) => match text.as_str() {
-                "." => self.change(|c| {
-                    c.paused = true;
-                    c.steps += 1;
-                }),
-                "l" => self.change(|c| c.layer = panel::next_layer(c.layer)),
-                "r" => self.change(|c| c.restarts += 1),
-                "p" => self.screenshot(),
-                digit => {
-                    if let Some(target) = digit.parse().ok().and_then(scene_by_number) {
-                        self.pick(target);
-                    }
-                }
-            },
-            _ => {}
+    /// Takes the newest picture over.
+    fn show_picture(&mut self) {
+        let (Some(picture), Some(open)) = (self.shared.take_picture(), &mut self.open) else { return };
+        if self.controls.target.is_none() {
+            // It was on its way when the picker opened.
+            return;
+        }
+        // While time stands still pictures come when something changes: their distance tells nothing.
+        let since_last = self.last_picture.elapsed().as_secs_f64() * 1e3;
+        let interval_ms = if self.controls.paused { picture.frame_ms } else { since_last };
+        self.last_picture = Instant::now();
+        let shell = &mut self.shell;
+        shell.figures.learn(&picture, interval_ms);
+        shell.plot.learn(&picture);
+        shell.camera = picture.camera;
+        shell.overlay.clone_from(&picture.overlay);
+        let won_before = shell.hud.as_ref().is_some_and(|h| h.won.is_some());
+        shell.learn(&picture.hud);
+        let mut save = false;
+        if let (false, Some(hud)) = (won_before, &shell.hud)
+            && let Some(stars) = hud.won
+        {
+            save = shell.settings.learn(hud.kind.name(), hud.level.0, hud.moves.0, stars);
+        }
+        open.screen.upload(&picture);
+        open.window.set_title(&format!("Catoptra - {}", picture.name));
+        self.picture = Some(picture);
+        if save {
+            self.save_settings();
         }
     }
 
-    fn pick(&mut self, target: Target) {
-        self.message.clear();
-        self.change(|c| c.target = Some(target));
+    fn hear_answers(&mut self) {
+        for answer in self.shared.take_answers() {
+            match answer {
+                Answer::Tree(tree, names) => self.shell.tree = Some((tree, names)),
+                Answer::Told(text) => self.shell.message = text,
+                Answer::Thumbnail(t) => self.keep_thumbnail(t),
+            }
+        }
     }
 
-    fn redraw(&mut self) -> Result<(), String> {
+    fn key(&mut self, event_loop: &ActiveEventLoop, event: &KeyEvent) {
+        let Some(name) = keys::name(&event.logical_key) else { return };
+        if let Some(Menu::Settings(Some(command))) = self.shell.menu {
+            self.shell.settings.keys.set(command, &name);
+            self.shell.menu = Some(Menu::Settings(None));
+            self.save_settings();
+            self.change(|_| {});
+            return;
+        }
+        let Some(command) = self.shell.settings.keys.command(&name) else {
+            let digit = name.parse().ok().and_then(scene_by_number);
+            if let Some(target) = digit {
+                self.shell.hud = None;
+                self.shell.menu = None;
+                self.change(|c| (c.target, c.paused, c.photo) = (Some(target), false, None));
+            }
+            return;
+        };
+        // What a held key repeats is meant where it moves something.
+        let moves = [Command::North, Command::South, Command::East, Command::West].contains(&command);
+        if event.repeat && !moves {
+            return;
+        }
+        let mut controls = self.controls.clone();
+        let wishes = self.shell.command(command, &mut controls);
+        self.change(|c| *c = controls);
+        self.fulfil(event_loop, wishes);
+    }
+
+    fn fulfil(&mut self, event_loop: &ActiveEventLoop, wishes: Wishes) {
+        if wishes.screenshot {
+            self.screenshot();
+        }
+        if wishes.fullscreen
+            && let Some(open) = &self.open
+        {
+            let full = open.window.fullscreen().is_none();
+            open.window.set_fullscreen(full.then_some(Fullscreen::Borderless(None)));
+            self.shell.settings.fullscreen = full;
+        }
+        if wishes.vsync
+            && let Some(open) = &mut self.open
+        {
+            open.screen.set_vsync(self.shell.settings.vsync);
+        }
+        if wishes.save_settings || wishes.fullscreen {
+            self.save_settings();
+        }
+        if wishes.save_plot {
+            self.save_plot();
+        }
+        if wishes.quit {
+            event_loop.exit();
+        }
+    }
+
+    fn save_settings(&mut self) {
+        let Some(path) = &self.config else { return };
+        if let Err(why) = self.shell.settings.save(path) {
+            note(&why);
+            self.shell.message = why;
+        }
+    }
+
+    fn redraw(&mut self, event_loop: &ActiveEventLoop) -> Result<(), String> {
         let Some(open) = &mut self.open else { return Ok(()) };
         let input = open.egui.take_egui_input(&open.window);
         let context = open.egui.egui_ctx().clone();
         let mut wanted = self.controls.clone();
-        let mut wishes = panel::Wishes::default();
-        let mut left = egui::Rect::NOTHING;
-        let (figures, message, shown) = (&self.figures, self.message.as_str(), self.panel_shown);
-        let output = context.run_ui(input, |ui| {
-            if wanted.target.is_none() {
-                panel::picker(ui, &mut wanted, message);
-            } else if shown {
-                wishes = panel::panel(ui, &mut wanted, figures, message);
-            }
-            left = ui.available_rect_before_wrap();
-        });
+        let mut wishes = Wishes::default();
+        let shell = &mut self.shell;
+        let output = context.run_ui(input, |ui| wishes = shell::ui(ui, shell, &mut wanted));
         open.egui.handle_platform_output(&open.window, output.platform_output);
         let pixels_per_point = output.pixels_per_point;
         let primitives = context.tessellate(output.shapes, pixels_per_point);
-        let stage = Stage::from_points(left, pixels_per_point, open.window.inner_size().into());
+        let size = open.window.inner_size();
+        let stage = Stage::from_points(self.shell.stage, pixels_per_point, size.into());
         let textures = output.textures_delta;
-        open.presenter.draw(PanelDrawing { primitives, textures, pixels_per_point, stage })?;
-        wanted.window = (stage.width, stage.height);
+        if let Err(why) = open.screen.draw(PanelDrawing { primitives, textures, pixels_per_point, stage }) {
+            return self.reopen(&why, event_loop);
+        }
+        // A minimised window keeps the size that it had.
+        if size.width > 0 && size.height > 0 {
+            wanted.window = (stage.width, stage.height);
+        }
         // Animations of the panel ask for more frames.
         let soon = output.viewport_output.values().any(|v| v.repaint_delay.as_millis() < 20);
         if soon {
             open.window.request_redraw();
         }
-        if wishes.picker {
-            wanted.target = None;
-            open.presenter.clear();
-        }
-        if wishes.screenshot {
-            self.screenshot();
+        if wanted.target.is_none() && self.controls.target.is_some() {
+            open.screen.clear();
         }
         if wanted != self.controls {
             self.change(|c| *c = wanted);
         }
+        self.fulfil(event_loop, wishes);
         Ok(())
     }
 
@@ -271,11 +409,27 @@ impl App {
         let written = std::fs::create_dir_all("out")
             .map_err(|e| format!("cannot make the folder out: {e}"))
             .and_then(|()| image_io::write_png(&path, p.width, p.height, &srgb8).map_err(|e| e.to_string()));
-        self.message = match written {
-            Ok(()) => format!("wrote {}", path.display()),
+        self.tell(written.map(|()| path));
+    }
+
+    /// Writes the times of all frames so far.
+    fn save_plot(&mut self) {
+        let name = self.picture.as_ref().map_or("play", |p| p.name.as_str());
+        let path = PathBuf::from("out").join(format!("{name}-times.svg"));
+        let written = std::fs::create_dir_all("out")
+            .map_err(|e| format!("cannot make the folder out: {e}"))
+            .and_then(|()| self.shell.plot.write_svg(&path));
+        let (n, median, greatest) = self.shell.plot.figures();
+        note(format!("{n} frames, median {median:.2} ms, greatest {greatest:.2} ms"));
+        self.tell(written.map(|()| path));
+    }
+
+    fn tell(&mut self, written: Result<PathBuf, String>) {
+        self.shell.message = match written {
+            Ok(path) => format!("wrote {}", path.display()),
             Err(why) => why,
         };
-        note(&self.message);
+        note(&self.shell.message);
     }
 
     fn stop(&mut self, worker: JoinHandle<()>) {

@@ -6,13 +6,21 @@
 //! two mailboxes (`shared`): what the user wants, and the newest picture.
 
 mod app;
+mod explain_view;
+mod keys;
+mod overlay;
 mod panel;
+mod plot;
 mod pose;
 mod present;
+mod screen;
+mod settings;
 mod shared;
+mod shell;
+mod soft;
 mod worker;
 
-use crate::cli::{Failure, PictureArgs, PlayArgs, Target};
+use crate::cli::{Failure, PlayArgs, Target};
 use crate::scenes::SCENES;
 use shared::Controls;
 
@@ -31,12 +39,21 @@ impl<E: Into<Failure>> From<E> for PlayError {
     }
 }
 
+/// How pictures come into the window.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, clap::ValueEnum)]
+pub enum WindowArg {
+    /// By a graphics driver where there is one, else by the CPU
+    #[default]
+    Auto,
+    /// By a graphics driver, software ones included
+    Gpu,
+    /// By the CPU
+    Cpu,
+}
+
 /// Runs `play`.
 pub fn run(args: &PlayArgs) -> Result<(), Failure> {
-    if args.record.is_some() {
-        return Err(Failure::missing("--record", "recording is not in this version; leave it out"));
-    }
-    play(args.scene.as_deref(), &args.picture).map_err(|e| match e {
+    play(args).map_err(|e| match e {
         PlayError::NoWindow(why) => {
             let scene = args.scene.as_deref().unwrap_or("all");
             Failure::other(format!("{why}: `catoptra render {scene}` makes pictures without a window"))
@@ -50,14 +67,21 @@ pub fn run(args: &PlayArgs) -> Result<(), Failure> {
 /// # Errors
 /// [`PlayError::NoWindow`] where there is no display or nothing can draw on it; an unknown scene; an explicit choice of
 /// `picture` that cannot be served.
-pub fn play(scene: Option<&str>, picture: &PictureArgs) -> Result<(), PlayError> {
-    picture.refuse_missing()?;
-    let target = match scene {
+pub fn play(args: &PlayArgs) -> Result<(), PlayError> {
+    args.picture.refuse_missing()?;
+    let target = match args.scene.as_deref() {
         None => None,
         Some(name) => Some(Target::parse_one(name)?),
     };
-    let controls = Controls::new(target, picture)?;
-    app::run(controls, picture)
+    if let (Some(path), Some(Target::File(_))) | (Some(path), _) = (&args.record, &target)
+        && (args.watch || matches!(target, Some(Target::File(_))))
+    {
+        let why = format!("--record {}: only games are recorded, and this is watched", path.display());
+        return Err(PlayError::Other(Failure::usage(why)));
+    }
+    let mut controls = Controls::new(target, &args.picture)?;
+    controls.game = !args.watch;
+    app::run(controls, &args.picture, args.record.clone(), args.seconds, args.window)
 }
 
 /// The scene with a number of the list, from 1, for picking by key.

@@ -1,10 +1,13 @@
 //! The panel: a switch for every stage, a view of every layer, and what a frame costs.
 
-use super::shared::{Controls, Picture, Scale};
+use super::{
+    shared::{Controls, Picture, Scale},
+    shell::{Shell, Wishes},
+};
 use crate::cli::Target;
 use crate::scenes::SCENES;
 use catoptra_render_hybrid::{
-    FrameStats, GlassShadows, Layer, Preset, RasterLane, RenderSettings, Shadows, VplOptions, VplShadows,
+    FrameStats, GlassShadows, Layer, Preset, RasterLane, RenderSettings, ShadowFilter, Shadows, VplOptions, VplShadows,
 };
 use egui::{ComboBox, Grid, Panel, RichText, ScrollArea, Slider, Ui};
 
@@ -39,64 +42,42 @@ impl Figures {
     }
 }
 
-/// What the user asked for beside the controls.
-#[derive(Default)]
-pub struct Wishes {
-    /// Write the picture to a file.
-    pub screenshot: bool,
-    /// Back to the picker.
-    pub picker: bool,
-}
-
-/// The five scenes to pick from.
-pub fn picker(ui: &mut Ui, controls: &mut Controls, message: &str) {
-    egui::Window::new("Catoptra")
-        .collapsible(false)
-        .resizable(false)
-        .anchor(egui::Align2::CENTER_CENTER, [0.0, 0.0])
-        .show(ui.ctx(), |ui| {
-            for (i, info) in SCENES.iter().enumerate() {
-                if ui.button(RichText::new(format!("{}  {}", i + 1, info.title)).size(18.0)).clicked() {
-                    controls.target = Some(Target::Scene(info.name));
-                }
-                ui.label(format!("{}; {} triangles", info.about, info.triangles));
-                ui.add_space(6.0);
-            }
-            if !message.is_empty() {
-                ui.separator();
-                ui.label(message);
-            }
-        });
-}
-
 /// The side panel.
-pub fn panel(ui: &mut Ui, controls: &mut Controls, figures: &Figures, message: &str) -> Wishes {
-    let mut wishes = Wishes::default();
+pub fn panel(ui: &mut Ui, shell: &mut Shell, controls: &mut Controls, wishes: &mut Wishes) {
     Panel::left("play.panel").default_size(290.0).show(ui, |ui| {
         ScrollArea::vertical().show(ui, |ui| {
-            scene(ui, controls, figures, &mut wishes);
+            scene(ui, shell, controls);
             ui.separator();
-            view(ui, controls, &mut wishes);
+            view(ui, shell, controls, wishes);
             ui.separator();
             stages(ui, controls);
             ui.separator();
-            cost(ui, figures);
-            if !message.is_empty() {
+            cost(ui, &shell.figures);
+            shell.plot.ui(ui);
+            ui.horizontal(|ui| {
+                if ui.button("save plot").clicked() {
+                    wishes.save_plot = true;
+                }
+                if ui.button("clear plot").clicked() {
+                    shell.plot.clear();
+                }
+            });
+            if !shell.message.is_empty() {
                 ui.separator();
-                ui.label(message);
+                ui.label(&shell.message);
             }
-            ui.separator();
-            ui.small("F1 panel, 1-5 scenes, L layer, space pause, . step, R restart, P screenshot, Esc quit");
         });
     });
-    wishes
 }
 
-fn scene(ui: &mut Ui, controls: &mut Controls, figures: &Figures, wishes: &mut Wishes) {
+fn scene(ui: &mut Ui, shell: &mut Shell, controls: &mut Controls) {
+    let figures = &shell.figures;
     ComboBox::from_label("scene").selected_text(figures.name.as_str()).show_ui(ui, |ui| {
         for info in &SCENES {
             let target = Some(Target::Scene(info.name));
-            ui.selectable_value(&mut controls.target, target, info.title);
+            if ui.selectable_value(&mut controls.target, target, info.title).clicked() {
+                shell.hud = None;
+            }
         }
     });
     ui.horizontal(|ui| {
@@ -104,17 +85,19 @@ fn scene(ui: &mut Ui, controls: &mut Controls, figures: &Figures, wishes: &mut W
             controls.paused = !controls.paused;
         }
         if ui.add_enabled(controls.paused, egui::Button::new("step")).clicked() {
-            controls.steps += 1;
+            controls.once.steps += 1;
         }
-        if ui.button("restart").clicked() {
+        let mut watch = !controls.game;
+        if ui.checkbox(&mut watch, "watch only").changed() {
+            controls.game = !watch;
             controls.restarts += 1;
+            shell.hud = None;
         }
-        wishes.picker = ui.button("all scenes").clicked();
     });
     ui.label(format!("step {} = {:.2} s", figures.frame, figures.frame as f64 / 60.0));
 }
 
-fn view(ui: &mut Ui, controls: &mut Controls, wishes: &mut Wishes) {
+fn view(ui: &mut Ui, shell: &mut Shell, controls: &mut Controls, wishes: &mut Wishes) {
     ComboBox::from_label("layer").selected_text(layer_name(controls.layer)).show_ui(ui, |ui| {
         for (layer, name) in Layer::ALL {
             ui.selectable_value(&mut controls.layer, layer, name);
@@ -123,13 +106,27 @@ fn view(ui: &mut Ui, controls: &mut Controls, wishes: &mut Wishes) {
     ui.add(Slider::new(&mut controls.exposure_ev, -8.0..=8.0).text("exposure (stops)"));
     let mut hold = matches!(controls.scale, Scale::Hold(_));
     if ui.checkbox(&mut hold, "size follows the frame rate").changed() {
-        controls.scale = if hold { Scale::Hold(30.0) } else { Scale::Fixed(1.0) };
+        controls.scale = if hold { Scale::Hold(20.0) } else { Scale::Fixed(1.0) };
     }
     match &mut controls.scale {
         Scale::Hold(rate) => ui.add(Slider::new(rate, 5.0..=120.0).text("pictures/s")),
         Scale::Fixed(share) => ui.add(Slider::new(share, 0.1..=1.0).text("share of the window")),
     };
-    wishes.screenshot = ui.button("screenshot").clicked();
+    let mut boxes = controls.boxes.is_some();
+    if ui.checkbox(&mut boxes, "boxes of the BVH").changed() {
+        controls.boxes = boxes.then_some(0);
+    }
+    if let Some(levels) = &mut controls.boxes {
+        ui.add(Slider::new(levels, 0..=4).text("levels inside meshes"));
+    }
+    ui.checkbox(&mut controls.dots, "VPLs as dots");
+    ui.horizontal(|ui| {
+        let text = if shell.explaining { "click the picture" } else { "explain a pixel" };
+        if ui.button(text).clicked() {
+            shell.explaining = !shell.explaining;
+        }
+        wishes.screenshot |= ui.button("screenshot").clicked();
+    });
 }
 
 fn stages(ui: &mut Ui, controls: &mut Controls) {
@@ -148,6 +145,13 @@ fn stages(ui: &mut Ui, controls: &mut Controls) {
             ui.selectable_value(&mut s.shadows, mode, format!("{mode:?}"));
         }
     });
+    if matches!(s.shadows, Shadows::Moments | Shadows::Certified) {
+        ComboBox::from_label("shadow filter").selected_text(format!("{:?}", s.moments.filter)).show_ui(ui, |ui| {
+            for filter in [ShadowFilter::Vsm, ShadowFilter::Evsm4] {
+                ui.selectable_value(&mut s.moments.filter, filter, format!("{filter:?}"));
+            }
+        });
+    }
     match s.shadows {
         Shadows::Moments => {
             ui.add(Slider::new(&mut s.moments.light_bleed_reduction, 0.0..=0.9).text("light-bleed reduction"));
@@ -206,7 +210,7 @@ fn cost(ui: &mut Ui, figures: &Figures) {
         ("G-buffer", t.gbuffer),
         ("direct", t.direct),
         ("indirect", t.indirect),
-        ("mirrors and glass", t.traced),
+        ("traced", t.traced),
         ("compose", t.compose),
         ("transfer", t.transfer),
         ("render", t.total),

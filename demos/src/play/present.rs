@@ -21,6 +21,8 @@ pub struct Presenter {
     sampler: wgpu::Sampler,
     picture: Option<(wgpu::Texture, wgpu::BindGroup)>,
     egui: egui_wgpu::Renderer,
+    /// Set by the driver when the device is gone.
+    lost: Arc<std::sync::atomic::AtomicBool>,
 }
 
 /// The panel of one frame, tessellated.
@@ -68,7 +70,7 @@ impl Presenter {
     ///
     /// # Errors
     /// In words, where there is none.
-    pub fn new(window: Arc<Window>, display: OwnedDisplayHandle) -> Result<Self, String> {
+    pub fn new(window: Arc<Window>, display: OwnedDisplayHandle, vsync: bool) -> Result<Self, String> {
         let descriptor = wgpu::InstanceDescriptor::new_with_display_handle_from_env(Box::new(display));
         let instance = wgpu::Instance::new(descriptor);
         let surface = instance.create_surface(window.clone()).map_err(|e| format!("the window has no surface: {e}"))?;
@@ -91,7 +93,7 @@ impl Presenter {
         // Picture and panel come as sRGB bytes: the surface must not encode them once more.
         let formats = surface.get_capabilities(&adapter).formats;
         config.format = formats.iter().copied().find(|f| !f.is_srgb()).unwrap_or(config.format);
-        config.present_mode = wgpu::PresentMode::AutoVsync;
+        config.present_mode = present_mode(vsync);
         surface.configure(&device, &config);
 
         let (layout, pipeline) = pipeline(&device, config.format);
@@ -103,12 +105,21 @@ impl Presenter {
         });
         let egui = egui_wgpu::Renderer::new(&device, config.format, egui_wgpu::RendererOptions::default());
         let picture = None;
-        Ok(Self { instance, window, surface, config, device, queue, pipeline, layout, sampler, picture, egui })
+        let lost = Arc::<std::sync::atomic::AtomicBool>::default();
+        let told = lost.clone();
+        device.set_device_lost_callback(move |_, _| told.store(true, std::sync::atomic::Ordering::Relaxed));
+        Ok(Self { lost, instance, window, surface, config, device, queue, pipeline, layout, sampler, picture, egui })
     }
 
     /// Greatest side of a texture.
     pub fn max_texture_side(&self) -> usize {
         self.device.limits().max_texture_dimension_2d as usize
+    }
+
+    /// Pictures wait for the screen from now on, or not any more.
+    pub fn set_vsync(&mut self, on: bool) {
+        self.config.present_mode = present_mode(on);
+        self.surface.configure(&self.device, &self.config);
     }
 
     /// The window has another size.
@@ -166,6 +177,9 @@ impl Presenter {
     /// In words, where the surface is lost for good.
     pub fn draw(&mut self, panel: PanelDrawing) -> Result<(), String> {
         use wgpu::CurrentSurfaceTexture as Current;
+        if self.lost.load(std::sync::atomic::Ordering::Relaxed) {
+            return Err("the graphics device was lost".into());
+        }
         // Textures of the panel are told once: take them even where nothing can be shown now.
         for (id, deltas) in &panel.textures.set {
             for delta in deltas {
@@ -247,6 +261,10 @@ impl Presenter {
         self.window.pre_present_notify();
         self.queue.present(frame);
     }
+}
+
+fn present_mode(vsync: bool) -> wgpu::PresentMode {
+    if vsync { wgpu::PresentMode::AutoVsync } else { wgpu::PresentMode::AutoNoVsync }
 }
 
 fn pipeline(device: &wgpu::Device, format: wgpu::TextureFormat) -> (wgpu::BindGroupLayout, wgpu::RenderPipeline) {

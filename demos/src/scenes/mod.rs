@@ -2,15 +2,15 @@
 //!
 //! Frame K of a scene is [`build`] followed by `catoptra_engine::app::advance(app, K)`.
 
-mod atrium;
+pub(crate) mod atrium;
 mod files;
 mod rolling_box;
 mod rolling_box_donut;
 mod rolling_box_sponza;
 mod rolling_box_venus;
-mod room;
-mod stage;
-mod statue;
+pub(crate) mod room;
+pub(crate) mod stage;
+pub(crate) mod statue;
 mod two_spheres;
 
 pub use atrium::atrium_meshes;

@@ -77,6 +77,12 @@ impl Stage {
         self.world().spawn((StableId(CAMERA_ID), lens, PreviousPose::default(), follower)).id()
     }
 
+    /// As [`Self::finish`], with one more plugin.
+    pub fn finish_with(mut self, plugin: impl bevy_app::Plugin) -> App {
+        self.app.add_plugins(plugin);
+        self.finish()
+    }
+
     /// The scene at frame 0.
     pub fn finish(mut self) -> App {
         app::settle(&mut self.app);

@@ -6,6 +6,7 @@
 //! (instance, primitive).
 
 mod blas;
+mod boxes;
 mod cutout;
 mod instance;
 mod kdtree;
@@ -20,6 +21,7 @@ mod triangle;
 mod wide;
 mod world;
 
+pub use boxes::TreeBox;
 pub use ray::{Hit, Ray};
 
 use crate::{BlasKind, RenderError, SimdLevel};

@@ -2,6 +2,7 @@
 
 pub mod camera_rays;
 pub mod emission;
+pub mod explain;
 pub mod media;
 pub mod photons;
 pub mod points;
