@@ -37,6 +37,12 @@ fn noise(seed: u64, length: usize) -> Vec<u8> {
 fn glb_corpus_and_its_mutations() {
     let mut drawn = 0;
     for (path, bytes) in corpus("glb") {
+        // Those that a fuzzer found need not be files at all.
+        if path.contains("fuzz-") {
+            println!("{path}");
+            glb::check(&bytes);
+            continue;
+        }
         assert!(glb::check(&bytes), "{path} is a file that can be drawn");
         for seed in 0..24 {
             let mut changed = bytes.clone();
