@@ -229,7 +229,7 @@ fn quantised_attributes_in_every_permitted_form() {
         assert_eq!(corners(&load(&file).unwrap()), [TRIANGLE.map(|v| v * 2.0)], "{component} {normalized}");
     }
     // Normals and tangents of bytes, coordinates of whole texels under a transform.
-    let mut bin = vec![0, 0, 127, 0].repeat(3); // normals with a stride of 4
+    let mut bin = [0, 0, 127, 0].repeat(3); // normals with a stride of 4
     bin.extend([127_u8, 0, 0, 129].repeat(3)); // tangents, handedness -127/127
     bin.extend([0_u16, 0, 0, 512, 1024, 0].iter().flat_map(|v| v.to_le_bytes()));
     let file = triangle(bin, |j| {
