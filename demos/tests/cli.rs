@@ -212,7 +212,7 @@ fn replay_prints_hashes_and_refuses_what_is_no_recording() {
         (recorded.replace(hashes[0], "0123456789abcdef").into_bytes(), "its state was 0123456789abcdef"),
         (recorded.replace(hashes[1], "0123456789abcdef").into_bytes(), "its last frame was 0123456789abcdef"),
         (recorded.replace("putt", "pat").into_bytes(), "there is no such action"),
-        (recorded[..recorded.len() / 2].as_bytes().to_vec(), "this is no recording"),
+        (recorded.as_bytes()[..recorded.len() / 2].to_vec(), "this is no recording"),
         (b"\x89PNG\r\n".to_vec(), "this is no recording"),
         (Vec::new(), "this is no recording"),
     ] {

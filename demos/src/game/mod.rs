@@ -96,7 +96,7 @@ impl Kind {
             }
             Self::TwoSpheres => "The great sphere shows the whole hall, hole and bumpers included.",
             Self::Venus => {
-                "She shows the lamps: the lowest colour comes first. A wrong tile drops you back to the start."
+                "Venus's mirror shows the lamps: the lowest colour comes first. A wrong tile drops you back to the start."
             }
             Self::Sponza => "The box's own mirror sides show the gates. Red ones throw you back.",
         }

@@ -5,7 +5,7 @@ use crate::{
     cli::{PictureArgs, Size, Target},
     game::{Action, Kind, Session, State},
 };
-use catoptra_engine::Camera;
+use catoptra_engine::{Camera, math};
 use catoptra_render_hybrid::{FrameStats, Layer, RenderSettings, trace::explain::RayTree};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
@@ -80,7 +80,7 @@ impl Photo {
             catoptra_engine::Projection::Orthographic { .. } => 50.0,
         };
         let flat = (d.x * d.x + d.z * d.z).sqrt();
-        let (yaw, pitch) = (f32::atan2(-d.x, -d.z), f32::atan2(d.y, flat));
+        let (yaw, pitch) = (math::atan2(-d.x, -d.z), math::atan2(d.y, flat));
         Self { eye: camera.world_from_view.translation, yaw, pitch, fov, high: false }
     }
 

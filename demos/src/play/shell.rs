@@ -385,7 +385,8 @@ fn centred<'a>(title: &'a str) -> egui::Window<'a> {
 /// A level is won.
 fn win(ui: &Ui, hud: Option<Hud>, shell: &mut Shell, controls: &mut Controls) {
     let Some((hud, won)) = hud.and_then(|h| h.won.map(|won| (h, won))) else { return };
-    centred("Level won").show(ui.ctx(), |ui| {
+    // Low, so that what was won stays in sight.
+    centred("Level won").anchor(Align2::CENTER_BOTTOM, [0.0, -70.0]).show(ui.ctx(), |ui| {
         ui.vertical_centered(|ui| {
             stars(ui, won, 44.0);
             let (moves, par) = hud.moves;

@@ -51,7 +51,7 @@ pub fn run(
 ) {
     let mut playing: Option<Playing> = None;
     let mut scale = ScaleController::default();
-    let mut drawn_version = None;
+    let (mut drawn_version, mut refined_version) = (None, None);
     let mut thumbnails = 0;
     let mut record = record;
     loop {
@@ -99,16 +99,26 @@ pub fn run(
             shared.put_answer(answer);
             report(Report::Answer);
         }
-        if !moved && drawn_version == Some(controls.version) {
+        let again = !moved && drawn_version == Some(controls.version);
+        if again && refined_version == Some(controls.version) {
             playing.last = Instant::now();
             shared.wait_for_change(controls.version, Duration::from_millis(250));
             continue;
         }
         drawn_version = Some(controls.version);
+        // Where nothing moves any more there is time for the whole size; on the win screen for more than half of it.
         let share = scale.share(controls.scale);
+        let calm = if again { 1.0 } else { 0.6 };
+        let unhurried = again || playing.won();
+        let share = if unhurried { share.max(calm) } else { share };
+        if again {
+            refined_version = drawn_version;
+        }
         match playing.draw(&mut renderer, &controls, share, start) {
             Ok(picture) => {
-                scale.learn(controls.scale, picture.frame_ms);
+                if !unhurried {
+                    scale.learn(controls.scale, picture.frame_ms);
+                }
                 shared.put_picture(picture);
                 if !report(Report::Picture) {
                     return;
@@ -137,11 +147,15 @@ fn opaque(srgb8: &[u8]) -> Vec<u8> {
 
 /// What runs: a world to look at, or a game.
 enum Content {
-    Watched(World),
+    Watched(Box<World>),
     Game(Box<Run>, Option<(PathBuf, Recording)>),
 }
 
 impl Content {
+    fn won(&self) -> bool {
+        matches!(self, Self::Game(run, _) if run.at_rest() && run.session().won())
+    }
+
     fn app_mut(&mut self) -> &mut App {
         match self {
             Self::Watched(world) => world.app_mut(),
@@ -207,7 +221,7 @@ impl Playing {
                 let recording = record.take().and_then(|path| Some((path, Recording::begin(kind, 0)?)));
                 Content::Game(Box::new(run), recording)
             }
-            None => Content::Watched(World::open(target, options)?),
+            None => Content::Watched(Box::new(World::open(target, options)?)),
         };
         content.scene().validate()?;
         Ok(Self {
@@ -247,6 +261,11 @@ impl Playing {
         let told = told.unwrap_or_else(|why| why);
         crate::cli::note(&told);
         Some(told)
+    }
+
+    /// A game that is won and at rest.
+    fn won(&self) -> bool {
+        self.content.won()
     }
 
     /// Makes the steps that are due and shows the world in between. Returns whether anything may look different.

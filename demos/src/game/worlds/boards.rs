@@ -164,8 +164,8 @@ fn venus(level: &BoxLevel) -> (Stage, Board) {
     let looks = looks(&mut stage);
     let [w, d] = level.size.map(|n| f32::from(n) * CELL * 0.5);
     let (eye, _) = seat(level);
-    let eye = eye + Vec3::new(0.0, 0.1, 0.2);
-    let target = Vec3::new(0.0, 0.78, -d);
+    let eye = eye + Vec3::new(0.0, 0.12, 0.65);
+    let target = Vec3::new(0.0, 0.66, -d);
     let (min, max) = (Vec3::new(-w - 1.2, -0.05, -d - 2.2), Vec3::new(w + 1.2, 3.7, eye.z + 3.0));
     let dark = Vec3::new(0.20, 0.20, 0.23);
     let walls = [dark, dark, Vec3::splat(0.15), dark, Vec3::new(0.30, 0.28, 0.32), Vec3::splat(0.03)];

@@ -63,7 +63,7 @@ pub fn viewer(stage: &mut Stage, eye: Vec3, target: Vec3, fov_y_degrees: f32) {
     let lens =
         CameraProjection { projection: Projection::Perspective { fov_y: fov_y_degrees.to_radians() }, near: 0.02 };
     let pose = camera::world_from_view_looking_at(eye, target);
-    let rotation = Quat::from_mat3(&glam::Mat3::from(pose.matrix3)).normalize();
+    let rotation = Quat::from_mat3(&pose.matrix3).normalize();
     let transform = Transform { translation: eye, rotation, scale: Vec3::ONE };
     stage.world().spawn((StableId(CAMERA_ID), lens, transform));
 }
