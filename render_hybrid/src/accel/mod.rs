@@ -7,6 +7,7 @@
 
 mod blas;
 mod cutout;
+pub(crate) mod flat;
 mod instance;
 mod kdtree;
 mod node;

@@ -1,0 +1,217 @@
+//! The tracers on the GPU: hits of the traversal alone, the traced layer against the CPU's, what is sent, how it falls back.
+
+use catoptra_demos::scenes;
+use catoptra_engine::{
+    Extracted, Mesh, MeshData, RenderScene, app,
+    glam::{Affine3, Vec3},
+};
+use catoptra_render_hybrid::{
+    BlasKind, Layer, RasterLane, RenderSettings, Renderer, RendererOptions, Tracer,
+    accel::{Accel, AccelOptions, Hit, Ray},
+    metrics::{Comparison, compare},
+    raster::testing::ShaderProbe,
+};
+use catoptra_tests::opened_or_skip;
+use std::sync::Arc;
+
+/// Between traced layers.
+const FLIP_MEAN: f64 = 0.005;
+const FLIP_P99: f64 = 0.05;
+const SIZE: u32 = 128;
+
+fn scene(name: &str, frame: u64) -> RenderScene {
+    let mut world = scenes::build(name, &scenes::SceneOptions::default()).unwrap();
+    app::advance(&mut world, frame);
+    world.world().resource::<Extracted>().0.clone()
+}
+
+fn settings() -> RenderSettings {
+    RenderSettings { width: SIZE, height: SIZE, keep_layers: true, ..RenderSettings::default() }
+}
+
+fn renderer(test: &str, tracer: Tracer) -> Option<Renderer> {
+    let options = RendererOptions { raster: RasterLane::Gpu, tracer, ..RendererOptions::default() };
+    opened_or_skip(test, Renderer::new(options))
+}
+
+/// Numbers that are the same on every run.
+struct Random(u32);
+
+impl Random {
+    fn bits(&mut self) -> u32 {
+        self.0 = self.0.wrapping_mul(747_796_405).wrapping_add(2_891_336_453);
+        let w = ((self.0 >> ((self.0 >> 28) + 4)) ^ self.0).wrapping_mul(277_803_737);
+        (w >> 22) ^ w
+    }
+    fn unit(&mut self) -> f32 {
+        (self.bits() >> 8) as f32 / 16_777_216.0
+    }
+    fn vec(&mut self) -> Vec3 {
+        Vec3::new(self.unit(), self.unit(), self.unit()) * 2.0 - 1.0
+    }
+}
+
+fn one_mesh(mesh: Mesh, place: Affine3) -> RenderScene {
+    let instance = catoptra_engine::Instance { stable_id: 1, mesh: 0, material: 0, world_from_object: place };
+    RenderScene {
+        meshes: vec![Arc::new(mesh)],
+        materials: vec![Default::default()],
+        instances: vec![instance],
+        ..RenderScene::default()
+    }
+}
+
+fn followed(scene: &RenderScene, blas: BlasKind) -> Accel {
+    let mut accel = Accel::new(AccelOptions { blas, ..AccelOptions::default() }).unwrap();
+    accel.update(scene);
+    accel
+}
+
+/// A closed lumpy sphere.
+fn lump(r: &mut Random, rings: u32, sides: u32) -> Mesh {
+    let mut positions = vec![Vec3::Y, Vec3::NEG_Y];
+    let mut triangles = Vec::new();
+    for i in 1..rings {
+        for k in 0..sides {
+            let (y, a) = (i as f32 / rings as f32 * 2.0 - 1.0, k as f32 / sides as f32 * std::f32::consts::TAU);
+            let (s, c) = catoptra_engine::math::sin_cos(a);
+            let q = (1.0 - y * y).sqrt();
+            positions.push(Vec3::new(q * c, -y, q * s) * (1.0 + 0.2 * r.unit()));
+        }
+    }
+    let at = |i: u32, k: u32| 2 + (i - 1) * sides + k % sides;
+    for k in 0..sides {
+        triangles.push([0, at(1, k + 1), at(1, k)]);
+        triangles.push([1, at(rings - 1, k), at(rings - 1, k + 1)]);
+        for i in 1..rings - 1 {
+            triangles.push([at(i, k), at(i, k + 1), at(i + 1, k)]);
+            triangles.push([at(i, k + 1), at(i + 1, k + 1), at(i + 1, k)]);
+        }
+    }
+    let mesh = Mesh::new(MeshData { positions, triangles, ..MeshData::default() }).unwrap();
+    assert!(mesh.closed());
+    mesh
+}
+
+/// Rays from inside at vertices, middles of edges and other places of edges.
+fn watertight_rays(r: &mut Random, mesh: &Mesh, place: &Affine3, count: usize) -> Vec<Ray> {
+    (0..count)
+        .map(|i| {
+            let t = mesh.triangles()[(r.bits() % mesh.triangles().len() as u32) as usize];
+            let (a, b) = (mesh.positions()[t[0] as usize], mesh.positions()[t[1] as usize]);
+            let f = match i % 5 {
+                0 => 0.0,
+                1 => 0.5,
+                _ => r.unit(),
+            };
+            let target = place.transform_point3(a + (b - a) * f);
+            let origin = place.transform_point3(r.vec() * 0.1);
+            Ray::new(origin, (target - origin).normalize())
+        })
+        .collect()
+}
+
+#[test]
+fn watertight_set_through_the_compute_tracer() {
+    let Some(probe) = opened_or_skip("watertight_set", ShaderProbe::new()) else { return };
+    let mut r = Random(6);
+    let turned = Affine3::from_rotation_y(0.7) * Affine3::from_rotation_x(0.4);
+    let skewed = turned * Affine3::from_scale(Vec3::new(1.0, 0.37, -2.3));
+    let mut total = 0;
+    for (place, blas, count) in [
+        (Affine3::IDENTITY, BlasKind::Bvh, 300_000),
+        (skewed, BlasKind::Bvh, 100_000),
+        (skewed, BlasKind::KdTree, 50_000),
+        (Affine3::from_scale(Vec3::splat(1e-9)) * skewed, BlasKind::Bvh, 25_000),
+        (Affine3::from_scale(Vec3::splat(1e9)) * skewed, BlasKind::Bvh, 25_000),
+    ] {
+        let mesh = lump(&mut r, 40, 60);
+        let rays = watertight_rays(&mut r, &mesh, &place, count);
+        let scene = one_mesh(mesh, place);
+        let accel = followed(&scene, blas);
+        let answer = probe.closest_hits(&scene, &accel, &rays).unwrap();
+        let leaks = answer.hits.iter().filter(|h| !h.is_hit()).count();
+        println!("{blas:?}: {} of {count} hit in {:.0} ms", count - leaks, answer.milliseconds);
+        assert_eq!((leaks, answer.capped), (0, 0), "{blas:?}");
+        total += count;
+    }
+    assert_eq!(total, 500_000);
+}
+
+#[test]
+fn hits_are_those_of_the_cpu() {
+    let Some(probe) = opened_or_skip("hits_are_those_of_the_cpu", ShaderProbe::new()) else { return };
+    for name in ["rolling-box-donut", "rolling-box-venus", "rolling-box-sponza"] {
+        let scene = scene(name, 30);
+        let bounds = scene.bounds_world();
+        let mut r = Random(3);
+        let rays: Vec<Ray> = (0..20_000)
+            .map(|i| {
+                let origin = bounds.center() + r.vec() * (bounds.max - bounds.min) * 0.5;
+                let mut ray = Ray::new(origin, r.vec().normalize());
+                if i % 4 == 0 {
+                    (ray.t_min, ray.t_max) = (r.unit(), 1.0 + r.unit());
+                }
+                ray
+            })
+            .collect();
+        for blas in [BlasKind::Bvh, BlasKind::KdTree] {
+            let accel = followed(&scene, blas);
+            let mut expected = vec![Hit::MISS; rays.len()];
+            accel.closest_hits(&rays, &mut expected);
+            let answer = probe.closest_hits(&scene, &accel, &rays).unwrap();
+            assert_eq!(answer.capped, 0);
+            let mut other = 0;
+            for (i, (a, b)) in answer.hits.iter().zip(&expected).enumerate() {
+                if (a.instance_id, a.primitive_id) != (b.instance_id, b.primitive_id) {
+                    other += 1;
+                } else if b.is_hit() {
+                    assert!((a.t - b.t).abs() <= 2e-5 * b.t.max(1.0), "{name}, ray {i}: {a:?} and {b:?}");
+                }
+            }
+            println!("{name} {blas:?}: {other} of {} hits differ, {:.0} ms", rays.len(), answer.milliseconds);
+            // Rays along edges fall on the neighbour.
+            assert!(other * 2000 <= rays.len(), "{name} {blas:?}: {other} other triangles");
+            assert!(expected.iter().filter(|h| h.is_hit()).count() > rays.len() / 3);
+        }
+    }
+}
+
+fn difference(a: &catoptra_render_hybrid::Frame, b: &catoptra_render_hybrid::Frame, layer: Layer) -> Comparison {
+    compare(a.layer(layer).unwrap(), b.layer(layer).unwrap()).unwrap()
+}
+
+/// Traced layers of a tracer and the CPU agree on the five scenes.
+fn agrees_on_every_scene(test: &str, tracer: Tracer, frames: &[u64]) {
+    let Some(mut gpu) = renderer(test, tracer) else { return };
+    let Some(mut cpu) = renderer(test, Tracer::Cpu) else { return };
+    for info in &scenes::SCENES {
+        for &frame in frames {
+            let scene = scene(info.name, frame);
+            let a = gpu.render(&scene, &settings()).unwrap();
+            let b = cpu.render(&scene, &settings()).unwrap();
+            assert_eq!((a.stats.tracer, b.stats.tracer), (tracer, Tracer::Cpu));
+            let c = difference(&a, &b, Layer::Traced);
+            let (mean, p99) = (c.flip.mean(), c.flip.percentile(0.99));
+            println!(
+                "{} frame {frame}, {}: FLIP mean {mean:.5}, p99 {p99:.4}; traced {:.0} ms, CPU {:.0} ms",
+                info.name,
+                tracer.name(),
+                a.stats.stages_ms.traced,
+                b.stats.stages_ms.traced,
+            );
+            assert!(mean <= FLIP_MEAN && p99 <= FLIP_P99, "{} frame {frame}: FLIP mean {mean}, p99 {p99}", info.name);
+            assert_eq!(a.stats.masked_pixels, b.stats.masked_pixels);
+            if tracer == Tracer::Gpu {
+                let (x, y) = (a.stats.rays, b.stats.rays);
+                assert!(x.reflection.abs_diff(y.reflection) * 50 <= y.reflection, "{x:?} {y:?}");
+                assert!(x.refraction.abs_diff(y.refraction) * 50 <= y.refraction, "{x:?} {y:?}");
+            }
+        }
+    }
+}
+
+#[test]
+fn the_compute_tracer_agrees_on_every_scene() {
+    agrees_on_every_scene("the_compute_tracer_agrees_on_every_scene", Tracer::Gpu, &[0, 30, 90]);
+}
