@@ -6,7 +6,8 @@ use catoptra_engine::{
     glam::{Affine3, Vec3},
 };
 use catoptra_render_hybrid::{
-    BlasKind, Layer, RasterLane, RenderSettings, Renderer, RendererOptions, Tracer,
+    BlasKind, GlassShadows, Layer, MomentOptions, RasterLane, RenderSettings, Renderer, RendererOptions, ShadowFilter,
+    Shadows, Tracer, VplOptions, VplShadows,
     accel::{Accel, AccelOptions, Hit, Ray},
     metrics::{Comparison, compare},
     raster::testing::ShaderProbe,
@@ -26,7 +27,7 @@ fn scene(name: &str, frame: u64) -> RenderScene {
 }
 
 fn settings() -> RenderSettings {
-    RenderSettings { width: SIZE, height: SIZE, keep_layers: true, ..RenderSettings::default() }
+    RenderSettings { width: SIZE, height: SIZE, keep_layers: true, time_passes: true, ..RenderSettings::default() }
 }
 
 fn renderer(test: &str, tracer: Tracer) -> Option<Renderer> {
@@ -214,4 +215,137 @@ fn agrees_on_every_scene(test: &str, tracer: Tracer, frames: &[u64]) {
 #[test]
 fn the_compute_tracer_agrees_on_every_scene() {
     agrees_on_every_scene("the_compute_tracer_agrees_on_every_scene", Tracer::Gpu, &[0, 30, 90]);
+}
+
+#[test]
+fn the_fragment_tracer_agrees_on_every_scene() {
+    agrees_on_every_scene("the_fragment_tracer_agrees_on_every_scene", Tracer::GpuFragment, &[30]);
+}
+
+#[test]
+fn ray_queries_agree_or_are_named_as_missing() {
+    let test = "ray_queries_agree_or_are_named_as_missing";
+    let options = RendererOptions { raster: RasterLane::Gpu, tracer: Tracer::RayQuery, ..RendererOptions::default() };
+    if renderer(test, Tracer::Cpu).is_none() {
+        return;
+    }
+    match Renderer::new(options) {
+        Ok(_) => agrees_on_every_scene(test, Tracer::RayQuery, &[30]),
+        Err(error) => {
+            let text = error.to_string();
+            println!("{text}");
+            assert!(text.contains("--tracer rayquery") && text.contains("EXPERIMENTAL_RAY_QUERY"), "{text}");
+            assert_eq!(text.lines().count(), 1);
+        }
+    }
+}
+
+/// Settings that the kernels are compiled anew for.
+#[test]
+fn other_settings_agree_too() {
+    let test = "other_settings_agree_too";
+    let Some(mut cpu) = renderer(test, Tracer::Cpu) else { return };
+    let base = RenderSettings { width: 64, height: 64, ..settings() };
+    let vpl = base.vpl.unwrap();
+    let cases = [
+        ("traced shadows", RenderSettings { shadows: Shadows::Traced, shadow_samples: 4, ..base }),
+        ("VPL maps", RenderSettings { vpl: Some(VplOptions { shadows: VplShadows::Maps, ..vpl }), ..base }),
+        (
+            "traced VPLs, depth 24",
+            RenderSettings {
+                vpl: Some(VplOptions { count: 8, shadows: VplShadows::Traced, ..vpl }),
+                max_depth: 24,
+                ..base
+            },
+        ),
+        (
+            "plain moments, clear glass",
+            RenderSettings {
+                moments: MomentOptions { filter: ShadowFilter::Vsm, ..base.moments },
+                glass_shadows: GlassShadows::Clear,
+                ..base
+            },
+        ),
+    ];
+    let scene = scene("rolling-box-donut", 30);
+    for (tracer, blas) in
+        [(Tracer::Gpu, BlasKind::Bvh), (Tracer::Gpu, BlasKind::KdTree), (Tracer::GpuFragment, BlasKind::Bvh)]
+    {
+        let options = RendererOptions { raster: RasterLane::Gpu, tracer, blas, ..RendererOptions::default() };
+        let mut gpu = Renderer::new(options).unwrap();
+        for (what, settings) in &cases {
+            if tracer == Tracer::GpuFragment && !what.contains("VPL maps") {
+                continue;
+            }
+            let start = std::time::Instant::now();
+            let a = gpu.render(&scene, settings).unwrap();
+            let b = cpu.render(&scene, settings).unwrap();
+            let c = difference(&a, &b, Layer::Traced);
+            let (mean, p99) = (c.flip.mean(), c.flip.percentile(0.99));
+            println!("{what}, {} {blas:?}: FLIP mean {mean:.5}, p99 {p99:.4}, {:?}", tracer.name(), start.elapsed());
+            assert!(mean <= FLIP_MEAN && p99 <= FLIP_P99, "{what}: FLIP mean {mean}, p99 {p99}");
+        }
+    }
+}
+
+#[test]
+fn the_tolerance_notices_what_is_missing() {
+    // The mutations that must fail: one interface less, other glass, no light from VPLs in mirrors.
+    let Some(mut gpu) = renderer("the_tolerance_notices_what_is_missing", Tracer::Gpu) else { return };
+    let scene = scene("rolling-box-donut", 30);
+    let full = gpu.render(&scene, &settings()).unwrap();
+    let mut heavy = scene.clone();
+    heavy.origin = Arc::new(());
+    heavy.materials.iter_mut().for_each(|m| m.ior *= 1.05);
+    let shallow = RenderSettings { max_depth: 2, ..settings() };
+    for (what, other) in [
+        ("two interfaces", gpu.render(&scene, &shallow).unwrap()),
+        ("other glass", gpu.render(&heavy, &settings()).unwrap()),
+        ("no indirect light", gpu.render(&scene, &RenderSettings { vpl: None, ..settings() }).unwrap()),
+    ] {
+        let c = difference(&other, &full, Layer::Traced);
+        let (mean, p99) = (c.flip.mean(), c.flip.percentile(0.99));
+        println!("{what}: FLIP mean {mean:.4}, p99 {p99:.3}");
+        assert!(mean > FLIP_MEAN || p99 > FLIP_P99, "{what} passes: FLIP mean {mean}, p99 {p99}");
+    }
+}
+
+#[test]
+fn only_what_moved_is_sent() {
+    let Some(mut gpu) = renderer("only_what_moved_is_sent", Tracer::Gpu) else { return };
+    let small = RenderSettings { width: 16, height: 16, shadows: Shadows::Off, vpl: None, ..RenderSettings::default() };
+    // A field of balls of which none, one, four move.
+    let ball = Arc::new(catoptra_engine::shapes::sphere(0.3, 8, 16));
+    let mut field = one_mesh((*ball).clone(), Affine3::IDENTITY);
+    field.meshes = vec![ball];
+    field.materials = vec![catoptra_engine::Material::mirror(Vec3::ONE, 0.9)];
+    field.instances = (0..100)
+        .map(|i| catoptra_engine::Instance {
+            stable_id: i,
+            mesh: 0,
+            material: 0,
+            world_from_object: Affine3::from_translation(Vec3::new((i % 10) as f32, 0.0, -((i / 10) as f32))),
+        })
+        .collect();
+    let first = gpu.render(&field, &small).unwrap().stats.bytes_up;
+    let mut sent = Vec::new();
+    for moving in [0u32, 1, 4, 0, 4, 1] {
+        field.begin_revision();
+        for k in 0..moving {
+            let mut place = field.instances[(k * 23) as usize].world_from_object;
+            place.translation.y += 0.05;
+            field.set_transform(k * 23, place);
+        }
+        sent.push((moving, gpu.render(&field, &small).unwrap().stats.bytes_up));
+    }
+    println!("first frame {first} bytes, then (moved, bytes): {sent:?}");
+    let of = |n: u32| sent.iter().filter(|s| s.0 == n).map(|s| s.1).max().unwrap();
+    assert!(of(0) < 1024 && of(0) < of(1) && of(1) < of(4), "{sent:?}");
+    // An instance and its record, and the boxes of its ancestors.
+    assert!(of(4) - of(0) <= 4 * 2048 && first > 20 * of(4), "{sent:?}");
+    // A frame that sent little is the frame that is sent anew.
+    let moved = gpu.render(&field, &small).unwrap().image;
+    let mut fresh = renderer("only_what_moved_is_sent", Tracer::Gpu).unwrap();
+    field.origin = Arc::new(());
+    assert_eq!(fresh.render(&field, &small).unwrap().image.hash(), moved.hash());
 }
