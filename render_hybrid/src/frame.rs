@@ -173,7 +173,17 @@ fn traces_on_gpu(
         return Ok(false);
     }
     let (accel, vpls) = (&state.accel, state.photons.vpls.as_slice());
-    match gpu.prepare_trace(&RasterInputs { scene, accel, settings, vpls, geometry_term_max }) {
+    let maps = settings.vpl.is_some_and(|v| v.shadows == VplShadows::Maps);
+    let prepared = if maps && vpls.len() > gpu.most_vpl_maps() as usize {
+        let (wanted, most) = (vpls.len(), gpu.most_vpl_maps());
+        Err(RenderError::Unavailable {
+            choice: format!("--tracer {}", gpu.tracer().name()),
+            missing: format!("{wanted} VPL maps, but this adapter holds {most}"),
+        })
+    } else {
+        gpu.prepare_trace(&RasterInputs { scene, accel, settings, vpls, geometry_term_max })
+    };
+    match prepared {
         Ok(()) => Ok(true),
         Err(RenderError::Unavailable { choice, missing }) if state.automatic_tracer => {
             tracing::warn!("{choice}: {missing}; the CPU traces");

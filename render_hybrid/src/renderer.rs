@@ -238,7 +238,12 @@ impl Renderer {
         let gpu = match options.raster {
             RasterLane::Cpu => None,
             RasterLane::Gpu => Some(lane(&device, &queue)?),
-            RasterLane::Auto if device.adapter_info().device_type == wgpu::DeviceType::Cpu => None,
+            RasterLane::Auto
+                if device.adapter_info().device_type == wgpu::DeviceType::Cpu
+                    && matches!(options.tracer, Tracer::Auto | Tracer::Cpu) =>
+            {
+                None
+            }
             RasterLane::Auto => lane(&device, &queue).map_err(|e| tracing::warn!("the CPU lane is used: {e}")).ok(),
         };
         Ok(Self { host: Some((device, queue)), ..Self::with_gpu(options, gpu)? })
@@ -263,6 +268,10 @@ impl Renderer {
                 self.give_up_gpu(why);
                 let state = &mut self.state;
                 self.pool.install(|| frame::render_frame(state, level, scene, settings, read_back))
+            }
+            // A tracer that was asked for by name is named.
+            Err(RenderError::Gpu(why)) if !self.state.automatic_tracer && self.tracer.tracer != Tracer::Cpu => {
+                Err(RenderError::Gpu(format!("--tracer {}: {why}", self.tracer.tracer.name())))
             }
             made => made,
         }

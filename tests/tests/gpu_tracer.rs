@@ -6,13 +6,16 @@ use catoptra_engine::{
     glam::{Affine3, Vec3},
 };
 use catoptra_render_hybrid::{
-    BlasKind, GlassShadows, Layer, MomentOptions, RasterLane, RenderSettings, Renderer, RendererOptions, ShadowFilter,
-    Shadows, Tracer, VplOptions, VplShadows,
+    BlasKind, GlassShadows, Layer, MomentOptions, RasterLane, RenderError, RenderSettings, Renderer, RendererOptions,
+    ShadowFilter, Shadows, Tracer, VplOptions, VplShadows,
     accel::{Accel, AccelOptions, Hit, Ray},
     metrics::{Comparison, compare},
-    raster::testing::ShaderProbe,
+    raster::{
+        GpuRaster,
+        testing::{InjectedFault, ShaderProbe},
+    },
 };
-use catoptra_tests::opened_or_skip;
+use catoptra_tests::{opened_or_skip, shared_or_skip};
 use std::sync::Arc;
 
 /// Between traced layers.
@@ -348,4 +351,221 @@ fn only_what_moved_is_sent() {
     let mut fresh = renderer("only_what_moved_is_sent", Tracer::Gpu).unwrap();
     field.origin = Arc::new(());
     assert_eq!(fresh.render(&field, &small).unwrap().image.hash(), moved.hash());
+}
+
+/// A lane on a device whose buffers are bound with at most 16 MiB.
+fn limited(test: &str) -> Option<GpuRaster> {
+    opened_or_skip(test, GpuRaster::new())?;
+    let instance = wgpu::Instance::new(wgpu::InstanceDescriptor::new_without_display_handle());
+    let adapters = pollster::block_on(instance.enumerate_adapters(wgpu::Backends::PRIMARY));
+    let required_limits = wgpu::Limits { max_storage_buffer_binding_size: 16 << 20, ..wgpu::Limits::default() };
+    let descriptor = wgpu::DeviceDescriptor { required_limits, ..Default::default() };
+    let (device, queue) = pollster::block_on(adapters[0].request_device(&descriptor)).unwrap();
+    Some(GpuRaster::from_device(device, queue).unwrap())
+}
+
+/// A rippled mirror of 352,800 triangles: more than 16 MiB of triangles, less of vertices and indices.
+fn rippled_mirror() -> RenderScene {
+    let n = 421u32;
+    let positions = (0..n * n)
+        .map(|i| {
+            let (x, z) = ((i % n) as f32 / 210.0 - 1.0, (i / n) as f32 / 210.0 - 1.0);
+            Vec3::new(x, 0.02 * catoptra_engine::math::sin(9.0 * x) * catoptra_engine::math::sin(7.0 * z), z)
+        })
+        .collect();
+    let triangles = (0..(n - 1) * (n - 1))
+        .flat_map(|q| {
+            let a = q / (n - 1) * n + q % (n - 1);
+            [[a, a + n, a + n + 1], [a, a + n + 1, a + 1]]
+        })
+        .collect();
+    // Given, so that triangles share their vertices.
+    let normals = vec![Vec3::Y; (n * n) as usize];
+    let mesh = Mesh::new(MeshData { positions, normals, triangles, ..MeshData::default() }).unwrap();
+    let mut scene = one_mesh(mesh, Affine3::IDENTITY);
+    scene.materials = vec![catoptra_engine::Material::mirror(Vec3::new(0.9, 0.8, 0.7), 0.9)];
+    scene.environment.background = Vec3::new(0.2, 0.4, 0.9);
+    scene.camera = catoptra_engine::Camera::looking_at(Vec3::new(0.0, 1.0, 1.2), Vec3::ZERO, 0.8);
+    scene
+}
+
+#[test]
+fn a_limit_of_16_mib_is_survived_under_auto_and_named_otherwise() {
+    let test = "a_limit_of_16_mib";
+    let small = RenderSettings {
+        width: 48,
+        height: 48,
+        shadows: Shadows::Off,
+        vpl: None,
+        keep_layers: true,
+        ..RenderSettings::default()
+    };
+    let scene = rippled_mirror();
+    let Some(lane) = limited(test) else { return };
+    let options = |tracer| RendererOptions { raster: RasterLane::Gpu, tracer, ..RendererOptions::default() };
+    let mut auto = Renderer::with_gpu(options(Tracer::Auto), Some(lane)).unwrap();
+    auto.assume_tracer(Tracer::Gpu).unwrap();
+    let fallen = auto.render(&scene, &small).unwrap();
+    let why = fallen.stats.tracer_fallback.clone().unwrap_or_default();
+    println!("{why}");
+    assert_eq!((fallen.stats.raster, fallen.stats.tracer), (RasterLane::Gpu, Tracer::Cpu));
+    assert!(why.contains("--tracer gpu") && why.contains("16777216") && why.contains("triangle"), "{why}");
+    let again = auto.render(&scene, &small).unwrap();
+    assert_eq!(again.image.hash(), fallen.image.hash());
+    assert!(again.stats.tracer_fallback.is_some());
+    let mut cpu = renderer(test, Tracer::Cpu).unwrap();
+    assert_eq!(cpu.render(&scene, &small).unwrap().image.hash(), fallen.image.hash());
+
+    let mut explicit = Renderer::with_gpu(options(Tracer::Gpu), limited(test)).unwrap();
+    let error = explicit.render(&scene, &small).unwrap_err().to_string();
+    println!("{error}");
+    assert!(error.contains("--tracer gpu") && error.contains("16777216") && !error.contains('\n'), "{error}");
+    // Smaller scenes still work there, and textures hold what buffers do not.
+    assert!(explicit.render(&one_mesh(lump(&mut Random(1), 9, 9), Affine3::IDENTITY), &small).is_ok());
+    for (tracer, lane) in [(Tracer::GpuFragment, limited(test)), (Tracer::Gpu, GpuRaster::new().ok())] {
+        let frame = Renderer::with_gpu(options(tracer), lane).unwrap().render(&scene, &small).unwrap();
+        assert_eq!(frame.stats.tracer, tracer);
+        let c = difference(&frame, &fallen, Layer::Traced);
+        assert!(c.flip.mean() <= FLIP_MEAN && c.flip.percentile(0.99) <= FLIP_P99, "{}", tracer.name());
+    }
+}
+
+#[test]
+fn a_lost_device_is_survived_under_auto_and_named_otherwise() {
+    let test = "a_lost_device_is_survived_under_auto";
+    let scene = scene("two-spheres", 30);
+    let small = RenderSettings { width: 32, height: 32, shadows: Shadows::Off, ..RenderSettings::default() };
+    let cpu = Renderer::new(RendererOptions { raster: RasterLane::Cpu, ..RendererOptions::default() });
+    let expected = cpu.unwrap().render(&scene, &small).unwrap().image.hash();
+    for fault in [InjectedFault::DeviceLost, InjectedFault::OutOfMemory] {
+        for tracer in [Tracer::Auto, Tracer::Gpu, Tracer::GpuFragment] {
+            let Some(lane) = opened_or_skip(test, GpuRaster::new()) else { return };
+            let options = RendererOptions { tracer, ..RendererOptions::default() };
+            let mut renderer = Renderer::with_gpu(options, Some(lane)).unwrap();
+            if tracer == Tracer::Auto {
+                renderer.assume_tracer(Tracer::Gpu).unwrap();
+            }
+            let first = renderer.render(&scene, &small).unwrap();
+            assert_eq!(first.stats.tracer, if tracer == Tracer::Auto { Tracer::Gpu } else { tracer });
+            renderer.gpu_mut().unwrap().inject_fault(fault);
+            match renderer.render(&scene, &small) {
+                Ok(frame) if tracer == Tracer::Auto => {
+                    assert_eq!((frame.stats.raster, frame.stats.tracer), (RasterLane::Cpu, Tracer::Cpu));
+                    assert_eq!(frame.image.hash(), expected);
+                    assert!(renderer.tracer().why.contains("GPU failed") && renderer.fault().is_some());
+                }
+                Err(RenderError::Gpu(why)) if tracer != Tracer::Auto => {
+                    assert!(why.contains(&format!("--tracer {}", tracer.name())) && !why.contains('\n'), "{why}");
+                }
+                other => panic!("{fault:?}, {}: {:?}", tracer.name(), other.map(|f| f.stats)),
+            }
+        }
+    }
+}
+
+#[test]
+fn tracers_are_measured() {
+    let test = "tracers_are_measured";
+    let Some(mut gpu) = renderer(test, Tracer::Cpu) else { return };
+    let measured = gpu.measure_tracers(BlasKind::Bvh);
+    println!("{measured:?}");
+    let names: Vec<_> = measured.iter().map(|m| m.0).collect();
+    assert!(names.contains(&Tracer::Gpu) && names.contains(&Tracer::GpuFragment) && names.contains(&Tracer::Cpu));
+    assert!(measured.iter().all(|m| m.1 > 0.0 && m.1.is_finite()));
+    // The measurement leaves no mark on the pictures.
+    let small = RenderSettings { width: 32, height: 32, shadows: Shadows::Off, ..RenderSettings::default() };
+    let scene = scene("two-spheres", 30);
+    let fresh = renderer(test, Tracer::Cpu).unwrap().render(&scene, &small).unwrap();
+    let after = gpu.render(&scene, &small).unwrap();
+    assert_eq!((after.stats.tracer, after.image.hash()), (Tracer::Cpu, fresh.image.hash()));
+}
+
+#[test]
+fn analytic_files_on_every_tracer() {
+    // The CPU lane holds the cases' own values (analytic.rs); here each tracer is held against it, in 32-bit targets.
+    let test = "analytic_files_on_every_tracer";
+    let Some(folder) = shared_or_skip(test, "analytic") else { return };
+    let settings =
+        RenderSettings { shadows: Shadows::Traced, shadow_samples: 1, vpl: None, width: 128, height: 96, ..settings() };
+    let Some(mut cpu) = renderer(test, Tracer::Cpu) else { return };
+    for tracer in [Tracer::Gpu, Tracer::GpuFragment] {
+        let mut gpu = renderer(test, tracer).unwrap();
+        for file in ["mirror_floor.glb", "glass_slab.glb", "furnace_sphere.glb"] {
+            let limits = catoptra_engine::gltf::ImportLimits::default();
+            let loaded = catoptra_engine::gltf::load_gltf(&folder.join(file), &limits).unwrap();
+            let scene = loaded.to_render_scene(0);
+            let a = gpu.render(&scene, &settings).unwrap().image;
+            let b = cpu.render(&scene, &settings).unwrap().image;
+            let off = |(a, b): (&[f32; 3], &[f32; 3])| {
+                (0..3).map(|c| (a[c] - b[c]).abs() / b[c].abs().max(1e-3)).fold(0.0f32, f32::max)
+            };
+            let mut errors: Vec<f32> = a.pixels.iter().zip(&b.pixels).map(off).collect();
+            errors.sort_unstable_by(f32::total_cmp);
+            let p = errors[errors.len() * 995 / 1000];
+            println!("{file}, {}: 99.5% of pixels within {p:.1e} of the CPU's", tracer.name());
+            assert!(p <= 2e-3, "{file}, {}: {p:e}", tracer.name());
+        }
+    }
+}
+
+#[test]
+fn real_statue_and_atrium() {
+    let test = "real_statue_and_atrium";
+    let Some(statue) = shared_or_skip(test, "assets/venus/venus_31402.glb") else { return };
+    let Some(atrium) = shared_or_skip(test, "assets/sponza/sponza_dabrovic_66454.glb") else { return };
+    let options = scenes::SceneOptions { statue: Some(statue), atrium: Some(atrium) };
+    let Some(mut cpu) = renderer(test, Tracer::Cpu) else { return };
+    for tracer in [Tracer::Gpu, Tracer::GpuFragment] {
+        let mut gpu = renderer(test, tracer).unwrap();
+        for name in ["rolling-box-venus", "rolling-box-sponza"] {
+            let mut world = scenes::build(name, &options).unwrap();
+            app::advance(&mut world, 30);
+            let scene = world.world().resource::<Extracted>().0.clone();
+            let a = gpu.render(&scene, &settings()).unwrap();
+            let c = difference(&a, &cpu.render(&scene, &settings()).unwrap(), Layer::Traced);
+            let (mean, p99) = (c.flip.mean(), c.flip.percentile(0.99));
+            println!(
+                "{name} ({} triangles), {}: FLIP mean {mean:.5}, p99 {p99:.4}",
+                scene.triangle_count(),
+                tracer.name()
+            );
+            assert!(mean <= FLIP_MEAN && p99 <= FLIP_P99, "{name}: FLIP mean {mean}, p99 {p99}");
+        }
+    }
+}
+
+/// A tower of boxes whose tree is deeper than the usual stack of a walk: each ten times the size of the last.
+#[test]
+fn deep_trees_get_a_deeper_stack() {
+    let Some(probe) = opened_or_skip("deep_trees_get_a_deeper_stack", ShaderProbe::new()) else { return };
+    let mut r = Random(12);
+    let mut positions = Vec::new();
+    let mut triangles = Vec::new();
+    let mut size = 1e-6f32;
+    for _ in 0..14 {
+        for _ in 0..40 {
+            let at = positions.len() as u32;
+            let c = r.vec() * size;
+            positions.extend([c, c + r.vec() * size * 0.2, c + r.vec() * size * 0.2]);
+            triangles.push([at, at + 1, at + 2]);
+        }
+        size *= 6.0;
+    }
+    let mesh = Mesh::new(MeshData { positions, triangles, ..MeshData::default() }).unwrap();
+    let scene = one_mesh(mesh, Affine3::IDENTITY);
+    let accel = followed(&scene, BlasKind::Bvh);
+    let rays: Vec<Ray> = (0..4000)
+        .map(|i| {
+            let scale = catoptra_engine::math::pow(6.0, (i % 14) as f32) * 1e-6;
+            Ray::new(r.vec() * scale, r.vec().normalize())
+        })
+        .collect();
+    let answer = probe.closest_hits(&scene, &accel, &rays).unwrap();
+    let other = rays.iter().zip(&answer.hits).filter(|(ray, h)| {
+        let e = accel.closest_hit(ray);
+        (h.instance_id, h.primitive_id) != (e.instance_id, e.primitive_id)
+    });
+    let other = other.count();
+    assert!(answer.capped == 0 && other <= 4, "{other} other hits, {} capped", answer.capped);
+    assert!(answer.hits.iter().filter(|h| h.is_hit()).count() > 1000);
 }

@@ -31,6 +31,8 @@ pub(crate) struct FlatTree {
     pub triangles: Vec<Word>,
     /// Steps that a walk can take at most.
     pub steps: u64,
+    /// Levels of wide nodes.
+    pub levels: u32,
 }
 
 /// An instance's own part.
@@ -57,6 +59,21 @@ fn node_words(node: &Node8, refer: impl Fn(u32) -> u32, out: &mut Vec<Word>) {
         let b = node.slot_box(slot);
         out.extend([corner(b.min, refer(node.child[slot])), corner(b.max, 0)]);
     }
+}
+
+/// Levels of nodes from `root` down; 0 without a root.
+fn levels(nodes: &[Node8], root: u32) -> u32 {
+    let mut deepest = 0;
+    let mut todo = Vec::new();
+    if root != EMPTY {
+        todo.push((root, 1));
+    }
+    while let Some((n, level)) = todo.pop() {
+        deepest = deepest.max(level);
+        let inner = nodes[n as usize].child.iter().filter(|&&c| c != EMPTY && c & LEAF == 0);
+        todo.extend(inner.map(|&c| (c, level + 1)));
+    }
+    deepest
 }
 
 fn triangles(blocks: &[Tri8]) -> (Vec<Word>, Vec<u32>) {
@@ -89,7 +106,7 @@ impl FlatTree {
             }
             // Each leaf is met once, after at most a walk from the root.
             let steps = kd.nodes.len() as u64 * u64::from(KD_MAX_DEPTH + 2);
-            return Self { nodes, triangles: words, steps };
+            return Self { nodes, triangles: words, steps, levels: 0 };
         }
         let refer = |child: u32| {
             if child & LEAF == 0 {
@@ -108,7 +125,8 @@ impl FlatTree {
         }
         // Entering each node, taking each child, coming back to each node, leaving the tree.
         let steps = nodes.len() as u64 / u64::from(NODE_WORDS) * (WIDTH as u64 + 2) + 2;
-        Self { nodes, triangles: words, steps }
+        let root = if tree.root & LEAF == 0 { tree.root } else { EMPTY };
+        Self { nodes, triangles: words, steps, levels: levels(&tree.nodes, root).max(1) }
     }
 }
 
@@ -162,6 +180,11 @@ impl Accel {
             casts_shadow: casts,
             cutout,
         }
+    }
+
+    /// Levels of the upper tree.
+    pub(crate) fn flat_tlas_levels(&self) -> u32 {
+        levels(&self.world.tlas.nodes, self.world.tlas.root)
     }
 
     /// The upper tree's nodes, children counted from `first_node`, and its root; [`NONE`] where it is empty.

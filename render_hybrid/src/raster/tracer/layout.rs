@@ -61,6 +61,15 @@ pub(crate) fn ray_cap(depth: u32) -> u32 {
     most.min(1 << 24) as u32
 }
 
+/// Rays that wait at once at most: one a level of depth, and no more than log2(3 / min_weight) + 1, because of two siblings
+/// the lesser goes first: it is worth at most half of what their parent was (sum of the channels), and rays below
+/// `min_weight` (greatest channel) end.
+pub(crate) fn waiting_rays(depth: u32, min_weight: f32) -> u32 {
+    // 3 / min_weight < 2^k.
+    let by_weight = (0..64u32).find(|k| f64::from(min_weight) * (1u64 << k.min(&62)) as f64 > 3.0).unwrap_or(64);
+    depth.min(by_weight + 1)
+}
+
 /// Where a mesh's parts lie in the heaps.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(crate) struct MeshPlace {
@@ -71,6 +80,8 @@ pub(crate) struct MeshPlace {
     pub first_vertex: u32,
     /// Steps of a walk.
     pub steps: u64,
+    /// Levels of wide nodes.
+    pub levels: u32,
     pub closed: bool,
 }
 
@@ -155,7 +166,7 @@ pub(crate) fn geometry_size(mesh: &Mesh) -> u64 {
 }
 
 impl MeshPlace {
-    pub const NOWHERE: Self = Self { root: NONE, first_index: 0, first_vertex: 0, steps: 0, closed: false };
+    pub const NOWHERE: Self = Self { root: NONE, first_index: 0, first_vertex: 0, steps: 0, levels: 0, closed: false };
 }
 
 #[cfg(test)]
@@ -214,6 +225,13 @@ mod tests {
             shadow_samples,
             seed
         );
+    }
+
+    #[test]
+    fn few_rays_wait() {
+        // log2(3 · 512) = 10.6, log2(3 · 4096) = 13.6.
+        assert_eq!((waiting_rays(64, 1.0 / 512.0), waiting_rays(8, 1.0 / 512.0)), (12, 8));
+        assert_eq!((waiting_rays(64, 1.0 / 4096.0), waiting_rays(64, 0.0), waiting_rays(5, 0.0)), (15, 64, 5));
     }
 
     #[test]

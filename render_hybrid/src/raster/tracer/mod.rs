@@ -210,7 +210,11 @@ impl GpuTracer {
         self.variant = Variant {
             traced_shadows: matches!(settings.shadows, Shadows::Traced | Shadows::Certified),
             traced_vpls: settings.vpl.is_some_and(|v| v.shadows == VplShadows::Traced),
-            depth: if settings.max_depth <= 16 { 16 } else { 64 },
+            rays: match layout::waiting_rays(settings.max_depth, settings.min_weight) {
+                few if few <= Variant::FEW_RAYS => Variant::FEW_RAYS,
+                _ => 64,
+            },
+            levels: if self.scene.levels <= Variant::FEW_LEVELS { Variant::FEW_LEVELS } else { Variant::ALL_LEVELS },
             kd: inputs.accel.flat_is_kd() && !rayquery,
             ..self.variant
         };

@@ -44,7 +44,9 @@ pub(crate) fn closest_hits(
         let table = uniform(gpu, "query.table", 1024);
         gpu.upload(&frame, 0, bytemuck::bytes_of(&FrameData::new(scene, 1, 1)));
         flat.bind(gpu, &frame, &table, None);
-        let variant = Variant { kd: accel.flat_is_kd(), ..Variant::new(HeapKind::Storage) };
+        let usual = Variant::new(HeapKind::Storage);
+        let levels = if flat.levels <= usual.levels { usual.levels } else { Variant::ALL_LEVELS };
+        let variant = Variant { kd: accel.flat_is_kd(), levels, ..usual };
         let module = module(gpu, "query", &variant);
         let slots = [Slot::Storage(true), Slot::Storage(false)];
         let layout = group_layout(gpu, "query.group", wgpu::ShaderStages::COMPUTE, &slots);

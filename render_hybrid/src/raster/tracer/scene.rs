@@ -57,6 +57,8 @@ pub(crate) struct TracerScene {
     last: Option<Seen>,
     /// Sum of steps over instances and the upper tree.
     pub traversal_cap: u32,
+    /// Levels of wide nodes of both trees together, at most.
+    pub levels: u32,
 }
 
 struct Seen {
@@ -118,6 +120,7 @@ impl TracerScene {
             places: [0; 4],
             last: None,
             traversal_cap: 0,
+            levels: 0,
         }
     }
 
@@ -177,6 +180,7 @@ impl TracerScene {
         if !rayquery {
             let (tlas, tlas_root) = accel.flat_tlas(0);
             root = tlas_root;
+            self.levels = accel.flat_tlas_levels() + self.residents.iter().map(|r| r.place.levels).max().unwrap_or(0);
             self.tlas.update(gpu, &self.nodes, 0, tlas);
         }
         let (extent, slack) = accel.flat_extent();
@@ -332,11 +336,11 @@ impl TracerScene {
         let resident = &mut self.residents[r];
         let vertices = resident.mesh.positions().len() as u64 * u64::from(layout::VERTEX_WORDS);
         let mut root = NONE;
-        let mut steps = 0;
+        let (mut steps, mut levels) = (0, 0);
         if !rayquery {
             let first_node = (resident.first_node / u64::from(NODE_WORDS)) as u32;
             let flat = accel.flat_tree(resident.tree, first_node, resident.first_triangle as u32);
-            steps = flat.steps;
+            (steps, levels) = (flat.steps, flat.levels);
             if !flat.nodes.is_empty() {
                 root = if accel.flat_is_kd() { resident.first_node as u32 } else { first_node };
             }
@@ -349,6 +353,7 @@ impl TracerScene {
             first_vertex: resident.first_geometry as u32,
             first_index: (resident.first_geometry + vertices) as u32,
             steps,
+            levels,
             closed: resident.mesh.closed(),
         };
     }

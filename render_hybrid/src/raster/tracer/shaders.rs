@@ -59,13 +59,21 @@ pub(crate) struct Variant {
     /// Rays to lights, to VPLs.
     pub traced_shadows: bool,
     pub traced_vpls: bool,
-    /// Interfaces that the stack of rays holds.
-    pub depth: u32,
+    /// Rays that can wait at once: [`Self::FEW_RAYS`] or 64. Adapters pay for what is reserved, not for what is used, and
+    /// software ones for compiling it.
+    pub rays: u32,
+    /// Levels of both trees together: [`Self::FEW_LEVELS`] or all that trees may have.
+    pub levels: u32,
 }
 
 impl Variant {
+    pub const FEW_RAYS: u32 = 15;
+    pub const FEW_LEVELS: u32 = 20;
+    pub const ALL_LEVELS: u32 = 2 * (flat::MAX_DEPTH as u32 + 1);
+
     pub fn new(heaps: HeapKind) -> Self {
-        Self { heaps, kd: false, rayquery: false, traced_shadows: false, traced_vpls: false, depth: 16 }
+        let (rays, levels) = (Self::FEW_RAYS, Self::FEW_LEVELS);
+        Self { heaps, kd: false, rayquery: false, traced_shadows: false, traced_vpls: false, rays, levels }
     }
 }
 
@@ -103,9 +111,9 @@ fn constants(v: &Variant) -> String {
     u("REF_LEN_SHIFT", flat::LEN_SHIFT);
     u("KD_LEAF", flat::KD_LEAF_KIND);
     u("KD_SHORT_STACK", 8);
-    // Both levels at their greatest depth, and the way back into the upper one.
-    u("TRAVERSAL_STACK", 2 * (flat::MAX_DEPTH as u32 + 2));
-    u("BRANCH_STACK", v.depth + 1);
+    // One entry a level, and the way back into the upper tree.
+    u("TRAVERSAL_STACK", v.levels + 1);
+    u("BRANCH_STACK", v.rays);
     u("MEDIA_CAPACITY", MediumStack::CAPACITY as u32);
     u("INSTANCE_WORDS", layout::INSTANCE_WORDS);
     u("INSTANCE_IDENTITY", layout::INSTANCE_IDENTITY);
@@ -176,8 +184,15 @@ mod tests {
         for heaps in [HeapKind::Storage, HeapKind::Texture] {
             for bits in 0..16u32 {
                 let on = |i: u32| bits & 1 << i != 0;
-                let depth = if on(3) { 64 } else { 16 };
-                let v = Variant { heaps, kd: on(0), rayquery: false, traced_shadows: on(1), traced_vpls: on(2), depth };
+                let (rays, levels) = if on(3) { (64, Variant::ALL_LEVELS) } else { (15, Variant::FEW_LEVELS) };
+                let v = Variant {
+                    kd: on(0),
+                    traced_shadows: on(1),
+                    traced_vpls: on(2),
+                    rays,
+                    levels,
+                    ..Variant::new(heaps)
+                };
                 all.push(v);
             }
         }

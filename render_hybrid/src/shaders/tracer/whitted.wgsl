@@ -12,7 +12,8 @@ struct Branch {
     inside: Media,
 }
 
-// One entry a level of depth: a ray leaves at most one sibling behind.
+// Siblings that wait: one a level of depth, and no more than log2(3 / min_weight) + 1, since the lesser of two goes first
+// and is worth at most half of their parent. The stack is as long as one of both bounds: raster/tracer/layout.rs.
 var<private> branches: array<Branch, BRANCH_STACK>;
 
 struct Interface {
@@ -88,6 +89,17 @@ fn worth(weight: vec3f) -> bool {
     return max(weight.x, max(weight.y, weight.z)) >= trace.min_weight;
 }
 
+fn sum(weight: vec3f) -> f32 {
+    return weight.x + weight.y + weight.z;
+}
+
+fn choose(a: Branch, b: Branch, second: bool) -> Branch {
+    if second {
+        return b;
+    }
+    return a;
+}
+
 // What mirror and glass add to a pixel that sees `seen` along `d`.
 fn traced_radiance(seen: Hit, origin: vec3f, d: vec3f, pixel: u32) -> vec3f {
     var radiance = vec3f(0.0);
@@ -129,21 +141,23 @@ fn traced_radiance(seen: Hit, origin: vec3f, d: vec3f, pixel: u32) -> vec3f {
                     }
                 } else {
                     let through = weight * optics.transmitted;
-                    if optics.passes && worth(through) {
-                        branch = Branch(
-                            leaving_ray(s, optics.transmitted_direction), through, depth + 1u, crossed + 1u, true,
-                            optics.behind);
-                        go_on = true;
-                    }
                     let back = weight * optics.reflected;
-                    if any(optics.reflected != vec3f(0.0)) && worth(back) {
-                        if go_on {
-                            branches[min(waiting, BRANCH_STACK - 1u)] = branch;
-                            waiting += 1u;
-                        }
-                        let r = above_horizon(reflect_view(-along, s.n_shading), s.n_geometric);
-                        branch = Branch(leaving_ray(s, r), back, depth + 1u, crossed + 1u, false, outside);
-                        go_on = true;
+                    let goes_through = optics.passes && worth(through);
+                    let goes_back = any(optics.reflected != vec3f(0.0)) && worth(back);
+                    go_on = goes_through || goes_back;
+                    let refracted = Branch(
+                        leaving_ray(s, optics.transmitted_direction), through, depth + 1u, crossed + 1u, true,
+                        optics.behind);
+                    let r = above_horizon(reflect_view(-along, s.n_shading), s.n_geometric);
+                    let reflected = Branch(leaving_ray(s, r), back, depth + 1u, crossed + 1u, false, outside);
+                    // The lesser first: each ray that waits is then worth at least as much as all that go before it.
+                    let back_first = goes_back && !(goes_through && sum(through) < sum(back));
+                    if goes_through && goes_back {
+                        branches[min(waiting, BRANCH_STACK - 1u)] = choose(refracted, reflected, !back_first);
+                        waiting += 1u;
+                    }
+                    if go_on {
+                        branch = choose(refracted, reflected, back_first);
                     }
                 }
             }
