@@ -1,7 +1,7 @@
 //! The adapter's own trees: one for each mesh, built once, compacted and kept; the upper one from the instances' transforms.
 
 use catoptra_engine::{Mesh, RenderScene};
-use std::{collections::HashMap, sync::Arc};
+use std::{collections::BTreeMap, sync::Arc};
 use wgpu::util::DeviceExt;
 
 use crate::{accel::Accel, raster::device::Gpu};
@@ -44,7 +44,7 @@ struct Entry {
 /// Trees of one scene.
 #[derive(Default)]
 pub(crate) struct HardwareTrees {
-    meshes: HashMap<(usize, bool), MeshTree>,
+    meshes: BTreeMap<(usize, bool), MeshTree>,
     pub tlas: Option<wgpu::Tlas>,
     entries: Vec<Option<Entry>>,
     dirty: bool,
@@ -62,7 +62,7 @@ impl HardwareTrees {
         if scene.instances.len() as u64 > u64::from(most) {
             return Err(format!("{} instances, but this adapter's trees hold at most {most}", scene.instances.len()));
         }
-        let mut used = HashMap::new();
+        let mut used = BTreeMap::new();
         let mut wanted = Vec::with_capacity(scene.instances.len());
         for (id, instance) in scene.instances.iter().enumerate() {
             let mesh = &scene.meshes[instance.mesh as usize];
@@ -82,13 +82,13 @@ impl HardwareTrees {
         }
         self.meshes.retain(|key, _| used.contains_key(key));
         for (key, mesh) in used {
-            if !self.meshes.contains_key(&key) {
+            if let std::collections::btree_map::Entry::Vacant(vacant) = self.meshes.entry(key) {
                 let triangles = mesh.triangles().len();
                 if triangles as u64 > u64::from(limits.max_blas_primitive_count) {
                     let most = limits.max_blas_primitive_count;
                     return Err(format!("a mesh of {triangles} triangles, but this adapter's trees hold {most}"));
                 }
-                self.meshes.insert(key, MeshTree::new(gpu, mesh, key.1));
+                vacant.insert(MeshTree::new(gpu, mesh, key.1));
             }
         }
         self.compact(gpu);
