@@ -575,3 +575,102 @@ fn deep_trees_get_a_deeper_stack() {
     assert!(answer.capped == 0 && other <= 4, "{other} other hits, {} capped", answer.capped);
     assert!(answer.hits.iter().filter(|h| h.is_hit()).count() > 1000);
 }
+
+/// A floor of metal and roughness by texture, a fence with holes, a mirror ball and a glass ball.
+fn textured_scene() -> RenderScene {
+    use catoptra_engine::{
+        Camera, Instance, Light, LightKind, Material, Physical, Texture, TextureRef, glam::Vec2, shapes,
+    };
+    let quad = |half: f32, repeats: f32| {
+        let corners = [(-1.0, 1.0), (1.0, 1.0), (1.0, -1.0), (-1.0, -1.0)];
+        let data = MeshData {
+            positions: corners.map(|(x, z)| Vec3::new(x, 0.0, z) * half).to_vec(),
+            normals: vec![Vec3::Y; 4],
+            uvs: corners.map(|(x, z)| Vec2::new(x, z) * repeats).to_vec(),
+            triangles: vec![[0, 1, 2], [0, 2, 3]],
+            ..MeshData::default()
+        };
+        Arc::new(Mesh::new(data).unwrap())
+    };
+    let mut r = Random(4);
+    let mut noise = |side: u32, srgb| {
+        let texels = (0..side * side).map(|_| r.bits().to_le_bytes()).collect();
+        Arc::new(Texture::new(side, side, texels, srgb).unwrap())
+    };
+    let textures = vec![noise(64, true), noise(32, false), noise(16, true)];
+    let by = |texture| Some(TextureRef { texture, ..TextureRef::default() });
+    let physical = Physical {
+        metallic: 0.9,
+        roughness: 0.8,
+        metallic_roughness_texture: by(1),
+        reflectance: Vec3::splat(0.04),
+        transmission: 0.0,
+        transmission_texture: None,
+        blended: false,
+    };
+    let floor = Material {
+        base_color_texture: by(0),
+        normal_texture: by(1),
+        normal_scale: 0.4,
+        physical: Some(physical),
+        mirror: 0.1,
+        ..Material::default()
+    };
+    let fence =
+        Material { base_color_texture: by(2), alpha_cutoff: 0.5, emissive: Vec3::splat(0.1), ..Material::default() };
+    let instance =
+        |stable_id, mesh, material, world_from_object| Instance { stable_id, mesh, material, world_from_object };
+    let upright = Affine3::from_translation(Vec3::new(0.0, 0.7, -1.2)) * Affine3::from_rotation_x(1.4);
+    RenderScene {
+        meshes: vec![quad(3.0, 4.0), quad(0.8, 1.0), Arc::new(shapes::sphere(0.6, 24, 48))],
+        textures,
+        materials: vec![floor, fence, Material::mirror(Vec3::splat(0.9), 0.9), Material::glass(Vec3::ONE, 1.5)],
+        instances: vec![
+            instance(1, 0, 0, Affine3::IDENTITY),
+            instance(2, 1, 1, upright),
+            instance(3, 2, 2, Affine3::from_translation(Vec3::new(-0.8, 0.65, 0.0))),
+            instance(4, 2, 3, Affine3::from_translation(Vec3::new(0.8, 0.65, 0.0))),
+        ],
+        lights: vec![Light {
+            stable_id: 1,
+            kind: LightKind::Point,
+            position_world: Vec3::new(0.5, 3.0, 1.5),
+            direction_world: Vec3::NEG_Y,
+            up_world: Vec3::Z,
+            intensity: Vec3::splat(15.0),
+            radius: 0.0,
+        }],
+        camera: Camera::looking_at(Vec3::new(0.0, 1.6, 3.2), Vec3::new(0.0, 0.5, 0.0), 0.9),
+        environment: catoptra_engine::Environment { background: Vec3::new(0.2, 0.3, 0.5), ambient: Vec3::ZERO },
+        ..RenderScene::default()
+    }
+}
+
+#[test]
+fn textures_place_by_place_and_holes_agree() {
+    let test = "textures_place_by_place_and_holes_agree";
+    let Some(mut cpu) = renderer(test, Tracer::Cpu) else { return };
+    let scene = textured_scene();
+    let expected = cpu.render(&scene, &settings()).unwrap();
+    for tracer in [Tracer::Gpu, Tracer::GpuFragment] {
+        let frame = renderer(test, tracer).unwrap().render(&scene, &settings()).unwrap();
+        let c = difference(&frame, &expected, Layer::Traced);
+        let (mean, p99) = (c.flip.mean(), c.flip.percentile(0.99));
+        println!("textured, {}: FLIP mean {mean:.5}, p99 {p99:.4}", tracer.name());
+        assert!(mean <= FLIP_MEAN && p99 <= FLIP_P99, "{}: FLIP mean {mean}, p99 {p99}", tracer.name());
+    }
+    // The mutations: no holes, no smaller copies.
+    let mut full = scene.clone();
+    full.origin = Arc::new(());
+    full.materials[1].alpha_cutoff = 0.0;
+    let mut sharp = scene.clone();
+    sharp.origin = Arc::new(());
+    for m in &mut sharp.materials {
+        m.textures_mut().for_each(|t| t.mip = catoptra_engine::Mip::None);
+    }
+    for (what, other) in [("no holes", full), ("no smaller copies", sharp)] {
+        let c = difference(&cpu.render(&other, &settings()).unwrap(), &expected, Layer::Traced);
+        println!("{what}: FLIP mean {:.4}, p99 {:.3}", c.flip.mean(), c.flip.percentile(0.99));
+        assert!(c.flip.mean() > FLIP_MEAN || c.flip.percentile(0.99) > FLIP_P99, "{what} passes");
+    }
+}

@@ -15,12 +15,12 @@ pub(crate) const INSTANCE_CASTS_SHADOW: u32 = 2;
 pub(crate) const INSTANCE_CUTOUT: u32 = 4;
 /// The mesh encloses a volume.
 pub(crate) const INSTANCE_CLOSED: u32 = 8;
-pub(crate) const MATERIAL_WORDS: u32 = 16;
+pub(crate) const MATERIAL_WORDS: u32 = 24;
 pub(crate) const MATERIAL_SCHLICK: u32 = 1;
 pub(crate) const MATERIAL_THIN: u32 = 2;
 pub(crate) const LIGHT_WORDS: u32 = 6;
 pub(crate) const VIEW_WORDS: u32 = 4;
-pub(crate) const VERTEX_WORDS: u32 = 4;
+pub(crate) const VERTEX_WORDS: u32 = 5;
 
 /// Head of the scene: where things lie.
 #[derive(Clone, Copy, Debug, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
@@ -119,14 +119,18 @@ pub(crate) fn instance_words(
 }
 
 /// * `first_texel`: place of each of the scene's textures in the texel heap, in texels
-pub(crate) fn material_words(m: &Material, scene: &RenderScene, first_texel: &[u32]) -> [Word; 16] {
+pub(crate) fn material_words(
+    m: &Material,
+    scene: &RenderScene,
+    first_texel: &[u32],
+) -> [Word; MATERIAL_WORDS as usize] {
     let data = MaterialData::new(m, scene, first_texel);
     let mut out = [[0; 4]; MATERIAL_WORDS as usize];
-    out[..14].copy_from_slice(words(&data));
+    out[..22].copy_from_slice(words(&data));
     // Infinity is no number for a shader.
-    out[14] = word(m.attenuation_color.to_array(), m.attenuation_distance.min(f32::MAX).to_bits());
+    out[22] = word(m.attenuation_color.to_array(), m.attenuation_distance.min(f32::MAX).to_bits());
     let flags = if m.schlick { MATERIAL_SCHLICK } else { 0 } | if m.thin { MATERIAL_THIN } else { 0 };
-    out[15] = [m.ior.to_bits(), m.priority as u32, flags, 0];
+    out[23] = [m.ior.to_bits(), m.priority as u32, flags, 0];
     out
 }
 
@@ -141,10 +145,16 @@ pub(crate) fn light_words(light: &Light, index: usize, plan: &ShadowPlan, first_
 }
 
 pub(crate) fn view_words(view: &ShadowView) -> [Word; VIEW_WORDS as usize] {
-    bytemuck::cast(*view)
+    [
+        word(view.origin_world.to_array(), view.far.to_bits()),
+        word(view.right_scaled.to_array(), view.perspective.to_bits()),
+        word(view.up_scaled.to_array(), view.size),
+        word(view.forward.to_array(), view.light),
+    ]
 }
 
-/// Vertices of [`VERTEX_WORDS`] words each (place and alpha, normal, both texture coordinates, colour), then one word a
+/// Vertices of [`VERTEX_WORDS`] words each (place and alpha, normal, both texture coordinates, colour, tangent),
+/// then one word a
 /// triangle.
 pub(crate) fn geometry_words(mesh: &Mesh) -> Vec<Word> {
     let attributes = crate::raster::layouts::attributes(mesh);
@@ -155,6 +165,7 @@ pub(crate) fn geometry_words(mesh: &Mesh) -> Vec<Word> {
         out.push(word([a[0], a[1], a[2]], 0));
         out.push([a[3], a[4], a[5], a[6]].map(f32::to_bits));
         out.push(word([a[7], a[8], a[9]], 0));
+        out.push([a[11], a[12], a[13], a[14]].map(f32::to_bits));
     }
     out.extend(mesh.triangles().iter().map(|&[a, b, c]| [a, b, c, 0]));
     out

@@ -364,7 +364,7 @@ impl TracerScene {
 
     fn update_textures(&mut self, gpu: &Gpu, scene: &RenderScene) -> Result<bool, String> {
         // Four texels a word; each texture begins a word.
-        let words = |t: &Texture| t.texels().len().div_ceil(4) as u64;
+        let words = |t: &Texture| (t.texels().len() + t.mips().len()).div_ceil(4) as u64;
         let mut missing: Vec<Arc<Texture>> = Vec::new();
         for t in &scene.textures {
             let held = self.textures.iter().any(|(h, _)| Arc::ptr_eq(h, t));
@@ -386,8 +386,12 @@ impl TracerScene {
         }
         for texture in missing {
             let mut data = vec![[0u32; 4]; words(&texture) as usize];
-            let bytes: &[u8] = bytemuck::cast_slice(texture.texels());
-            bytemuck::cast_slice_mut::<Word, u8>(&mut data)[..bytes.len()].copy_from_slice(bytes);
+            let (image, copies): (&[u8], &[u8]) =
+                (bytemuck::cast_slice(texture.texels()), bytemuck::cast_slice(texture.mips()));
+            let bytes = bytemuck::cast_slice_mut::<Word, u8>(&mut data);
+            bytes[..image.len()].copy_from_slice(image);
+            // The smaller copies follow the image.
+            bytes[image.len()..image.len() + copies.len()].copy_from_slice(copies);
             self.texels.write(gpu, self.texels.used, &data);
             self.textures.push((texture, self.texels.used as u32 * 4));
             self.texels.used += data.len() as u64;

@@ -130,6 +130,7 @@ fn constants(v: &Variant) -> String {
     u("VERTEX_NORMAL", 1);
     u("VERTEX_UV", 2);
     u("VERTEX_COLOR", 3);
+    u("VERTEX_TANGENT", 4);
     u("TRACE_GROUP", TRACE_GROUP);
     u("TRACE_COUNTERS", COUNTERS);
     u("RAYS_REFLECTION", 0);

@@ -12,7 +12,7 @@ fn empty_media() -> Media {
 }
 
 fn priority_of(instance: u32) -> i32 {
-    return bitcast<i32>(dynamic_word(material_at(instance) + 15u).y);
+    return bitcast<i32>(dynamic_word(material_at(instance) + 23u).y);
 }
 
 // The volume that fills the place: the highest priority, among equals the one entered last. NONE: air.

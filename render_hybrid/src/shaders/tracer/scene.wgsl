@@ -4,6 +4,7 @@
 #import shared/camera
 #import shared/triangle
 #import shared/texture
+#import shared/look
 #import shared/intersect
 #import tracer/heaps
 

@@ -68,16 +68,13 @@ fn traced_visibility(light: Light, index: u32, s: SurfacePoint, wi: vec3f, pixel
 // Radiance towards `wo`.
 fn shade(s: SurfacePoint, wo: vec3f, pixel: u32) -> vec3f {
     let m = material_at(s.instance);
-    let color = dynamic_word(m);
-    let shiny = dynamic_word(m + 1u);
-    let mask = dynamic_word(m + 3u);
-    if mask.z != 0u {
+    if dynamic_word(m + 3u).z != 0u {
         return s.emission;
     }
-    let matte = (1.0 - bitcast<f32>(mask.x)) * (1.0 - bitcast<f32>(mask.y));
+    let matte = matte_weight(s.look);
     var radiance = s.emission + s.base_color * frame.ambient * (bitcast<f32>(dynamic_word(m + 2u).w) * matte);
-    let diffuse = s.base_color * (bitcast<f32>(color.w) * matte / PI);
-    let specular = float3(shiny);
+    let diffuse = s.base_color * (s.look.diffuse * matte / PI);
+    let specular = s.look.specular;
     for (var i = 0u; i < frame.light_count; i += 1u) {
         let light = read_light(i);
         let arriving = incident(light, s.position_world);
@@ -87,7 +84,7 @@ fn shade(s: SurfacePoint, wo: vec3f, pixel: u32) -> vec3f {
         }
         var reflected = diffuse;
         if any(specular > vec3f(0.0)) {
-            reflected += specular * blinn_phong_lobe(s.n_shading, arriving.wi, wo, bitcast<f32>(shiny.w));
+            reflected += specular * blinn_phong_lobe(s.n_shading, arriving.wi, wo, s.look.shininess);
         }
         if !any(reflected > vec3f(0.0)) {
             continue;

@@ -10,6 +10,8 @@ struct SurfacePoint {
     n_shading: vec3f,
     base_color: vec3f,
     emission: vec3f,
+    // How the place splits light.
+    look: Look,
     front: bool,
     instance: u32,
 }
@@ -90,7 +92,7 @@ fn texel_linear(i: u32, srgb: bool) -> vec4f {
     );
 }
 
-fn sample_texture(r: TextureRef, uv: vec2f) -> vec4f {
+fn sample_level(r: TextureRef, uv: vec2f) -> vec4f {
     let srgb = (r.flags & TEXTURE_SRGB) != 0u;
     let f = texture_footprint(r, uv);
     let t = f.texels + r.first_texel;
@@ -99,11 +101,61 @@ fn sample_texture(r: TextureRef, uv: vec2f) -> vec4f {
     return top * (1.0 - f.fraction.y) + bottom * f.fraction.y;
 }
 
-fn textured(color: vec3f, r: TextureRef, uvs: vec4f) -> vec3f {
-    if r.first_texel == NO_TEXTURE {
-        return color;
+// Twin: engine/src/texture.rs, Texture::sample_lod. One loop over the one or two levels that are read.
+fn sample_texture(r: TextureRef, uv: vec2f, wanted: f32) -> vec4f {
+    var first = r;
+    var second = r;
+    var blend = 0.0;
+    if wanted > 0.0 {
+        let lod = min(wanted, f32(texture_last_level(r)));
+        if (r.flags & TEXTURE_MIP_LINEAR) != 0u {
+            let low = floor(lod);
+            blend = lod - low;
+            first = texture_level(r, u32(low));
+            second = texture_level(r, u32(low) + 1u);
+        } else {
+            let level = select(0.0, floor(lod + 0.5), (r.flags & TEXTURE_MIP_NEAREST) != 0u);
+            first = texture_level(r, u32(level));
+        }
     }
-    return color * sample_texture(r, texture_coordinates(r, uvs)).xyz;
+    var sum = vec4f(0.0);
+    for (var i = 0u; i < select(1u, 2u, blend > 0.0); i += 1u) {
+        if i == 0u {
+            sum += sample_level(first, uv) * (1.0 - blend);
+        } else {
+            sum += sample_level(second, uv) * blend;
+        }
+    }
+    return sum;
+}
+
+// A place of a triangle, as far as textures need it.
+struct Textured {
+    vertices: vec3u,
+    weights: vec3f,
+    // Square metres of surface that the pixel covers; 0: full detail.
+    footprint: f32,
+    area_world: f32,
+}
+
+fn corner_uv(r: TextureRef, vertex: u32) -> vec2f {
+    return texture_coordinates(r, bitcast<vec4f>(geometry_word(vertex + VERTEX_UV)));
+}
+
+// White where there is no texture.
+fn textured(at: u32, seen: Textured) -> vec4f {
+    let r = read_texture_ref(at);
+    if r.first_texel == NO_TEXTURE {
+        return vec4f(1.0);
+    }
+    let uv0 = corner_uv(r, seen.vertices.x);
+    let uv1 = corner_uv(r, seen.vertices.y);
+    let uv2 = corner_uv(r, seen.vertices.z);
+    let d1 = uv1 - uv0;
+    let d2 = uv2 - uv0;
+    let per_area = abs(d1.x * d2.y - d1.y * d2.x) / max(seen.area_world, MIN_POSITIVE);
+    let lod = texture_lod(r, per_area, seen.footprint);
+    return sample_texture(r, uv0 * seen.weights.x + uv1 * seen.weights.y + uv2 * seen.weights.z, lod);
 }
 
 // Twin: accel/cutout.rs, Cutouts::is_hole.
@@ -117,13 +169,14 @@ fn is_hole(instance: u32, primitive: u32, u: f32, v: f32) -> bool {
     var alpha = factors.y * interpolated(vertices, VERTEX_POSITION, weights).w;
     let r = read_texture_ref(m + 4u);
     if r.first_texel != NO_TEXTURE {
-        alpha *= sample_texture(r, texture_coordinates(r, interpolated(vertices, VERTEX_UV, weights))).w;
+        alpha *= sample_level(r, texture_coordinates(r, interpolated(vertices, VERTEX_UV, weights))).w;
     }
     return alpha < cutoff;
 }
 
-// The surface at weights `u` and `v` of a triangle, met by a ray along `direction`.
-fn surface_at(direction: vec3f, hit: Hit) -> SurfacePoint {
+// The surface at weights `u` and `v` of a triangle, met by a ray along `direction`, seen by a pixel that is `pixel_width`
+// metres wide there. Twin: surface_seen.
+fn surface_at(direction: vec3f, hit: Hit, pixel_width: f32) -> SurfacePoint {
     let instance = read_instance(hit.instance);
     let vertices = triangle_vertices(instance, hit.primitive);
     let weights = vec3f(1.0 - hit.u - hit.v, hit.u, hit.v);
@@ -154,32 +207,60 @@ fn surface_at(direction: vec3f, hit: Hit) -> SurfacePoint {
     let flipped = dot(n_shading, n_geometric) < 0.0;
 
     let m = material_at(hit.instance);
-    let uvs = interpolated(vertices, VERTEX_UV, weights);
+    let seen = Textured(
+        vertices,
+        weights,
+        pixel_width * pixel_width / max(abs(dot(n_geometric, direction)), LEAST_COSINE),
+        length(cross(direction_world_from_object(instance, e1), direction_world_from_object(instance, e2))),
+    );
     let map = read_texture_ref(m + 10u);
+    let factors = bitcast<vec4f>(dynamic_word(m + 13u));
     if map.first_texel != NO_TEXTURE {
-        let uv0 = texture_coordinates(map, bitcast<vec4f>(geometry_word(vertices.x + VERTEX_UV)));
-        let uv1 = texture_coordinates(map, bitcast<vec4f>(geometry_word(vertices.y + VERTEX_UV)));
-        let uv2 = texture_coordinates(map, bitcast<vec4f>(geometry_word(vertices.z + VERTEX_UV)));
-        let frame_object = tangents(e1 * scale, e2 * scale, uv1 - uv0, uv2 - uv0);
+        let uv0 = corner_uv(map, vertices.x);
+        var frame_object =
+            tangents(e1 * scale, e2 * scale, corner_uv(map, vertices.y) - uv0, corner_uv(map, vertices.z) - uv0);
+        let tangent = interpolated(vertices, VERTEX_TANGENT, weights);
+        if any(tangent.xyz != vec3f(0.0)) {
+            frame_object = Tangents(tangent.xyz, -cross(normal_object, tangent.xyz) * tangent.w);
+        }
         n_shading = perturbed_normal(
             n_shading,
             direction_world_from_object(instance, frame_object.along_u),
             direction_world_from_object(instance, frame_object.along_v),
-            sample_texture(map, texture_coordinates(map, uvs)).xyz,
-            bitcast<f32>(dynamic_word(m + 13u).x),
+            textured(m + 10u, seen).xyz,
+            factors.x,
         );
     }
     if flipped {
         n_shading = -n_shading;
     }
-    let base_color = textured(float3(dynamic_word(m)), read_texture_ref(m + 4u), uvs)
-        * interpolated(vertices, VERTEX_COLOR, weights).xyz;
-    var emission = textured(float3(dynamic_word(m + 2u)), read_texture_ref(m + 7u), uvs);
-    if dynamic_word(m + 3u).z != 0u {
+    let texel = textured(m + 4u, seen);
+    var base_color = float3(dynamic_word(m)) * texel.xyz * interpolated(vertices, VERTEX_COLOR, weights).xyz;
+    var emission = float3(dynamic_word(m + 2u)) * textured(m + 7u, seen).xyz;
+    let color = bitcast<vec4f>(dynamic_word(m));
+    let shiny = bitcast<vec4f>(dynamic_word(m + 1u));
+    let mask = dynamic_word(m + 3u);
+    var look = Look(shiny.xyz, shiny.w, color.w, bitcast<f32>(mask.x), bitcast<f32>(mask.y));
+    let physical = dynamic_word(m + 20u);
+    if (physical.w & PHYSICAL) != 0u {
+        let metal = textured(m + 14u, seen);
+        let transmission = bitcast<f32>(dynamic_word(m + 21u).x) * textured(m + 17u, seen).x;
+        var place = PhysicalPlace(factors.z * metal.z, factors.w * metal.y, transmission, 1.0);
+        if (physical.w & PHYSICAL_BLENDED) != 0u {
+            let alpha = interpolated(vertices, VERTEX_POSITION, weights).w;
+            place.coverage = clamp(factors.y * texel.w * alpha, 0.0, 1.0);
+        }
+        look = physical_look(float3(physical), base_color, place);
+        emission *= place.coverage;
+        if mask.z != 0u {
+            base_color *= place.coverage;
+        }
+    }
+    if mask.z != 0u {
         emission += base_color;
     }
     return SurfacePoint(
-        point_world, error, n_geometric, n_shading, base_color, emission, front, hit.instance);
+        point_world, error, n_geometric, n_shading, base_color, emission, look, front, hit.instance);
 }
 
 // A start for rays that leave to the side of `direction`, clear of the surface itself.

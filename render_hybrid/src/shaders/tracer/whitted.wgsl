@@ -9,6 +9,8 @@ struct Branch {
     depth: u32,
     crossed: u32,
     refraction: bool,
+    // Metres from the camera to the ray's start, along the path.
+    way: f32,
     inside: Media,
 }
 
@@ -29,7 +31,7 @@ fn ior_of(instance: u32) -> f32 {
     if instance == NONE {
         return 1.0;
     }
-    return bitcast<f32>(dynamic_word(material_at(instance) + 15u).x);
+    return bitcast<f32>(dynamic_word(material_at(instance) + 23u).x);
 }
 
 // Keeps a direction that interpolated normals sent below the true surface just above it.
@@ -44,15 +46,14 @@ fn above_horizon(r: vec3f, n_geometric: vec3f) -> vec3f {
 // Splits light that travels along unit `d` at a surface.
 fn split(s: SurfacePoint, d: vec3f, inside: Media) -> Interface {
     let m = material_at(s.instance);
-    let mask = bitcast<vec4f>(dynamic_word(m + 3u));
-    let optics = dynamic_word(m + 15u);
+    let optics = dynamic_word(m + 23u);
     let cos_i = clamp(dot(s.n_shading, -d), 0.0, 1.0);
     var tint = s.base_color;
     if (optics.z & MATERIAL_SCHLICK) != 0u {
         tint = schlick(s.base_color, cos_i);
     }
-    var out = Interface(tint * mask.x, vec3f(0.0), d, false, false, inside);
-    let glass = (1.0 - mask.x) * mask.y;
+    var out = Interface(tint * s.look.mirror, vec3f(0.0), d, false, false, inside);
+    let glass = (1.0 - s.look.mirror) * s.look.transmission;
     if glass <= 0.0 {
         return out;
     }
@@ -103,7 +104,7 @@ fn choose(a: Branch, b: Branch, second: bool) -> Branch {
 // What mirror and glass add to a pixel that sees `seen` along `d`.
 fn traced_radiance(seen: Hit, origin: vec3f, d: vec3f, pixel: u32) -> vec3f {
     var radiance = vec3f(0.0);
-    var branch = Branch(Ray(origin, 0.0, d, FAR_AWAY), vec3f(1.0), 0u, 0u, false, empty_media());
+    var branch = Branch(Ray(origin, 0.0, d, FAR_AWAY), vec3f(1.0), 0u, 0u, false, 0.0, empty_media());
     var hit = seen;
     var from_camera = true;
     var waiting = 0u;
@@ -114,7 +115,7 @@ fn traced_radiance(seen: Hit, origin: vec3f, d: vec3f, pixel: u32) -> vec3f {
             count_ray(select(RAYS_REFLECTION, RAYS_REFRACTION, branch.refraction));
             let medium = current_medium(branch.inside);
             if medium != NONE {
-                let absorption = bitcast<vec4f>(dynamic_word(material_at(medium) + 14u));
+                let absorption = bitcast<vec4f>(dynamic_word(material_at(medium) + 22u));
                 branch.weight *= beer_lambert(absorption.xyz, absorption.w, hit.t);
             }
         }
@@ -122,12 +123,12 @@ fn traced_radiance(seen: Hit, origin: vec3f, d: vec3f, pixel: u32) -> vec3f {
         if hit.instance == NONE {
             radiance += branch.weight * frame.background;
         } else {
-            let s = surface_at(branch.ray.direction, hit);
+            let way = branch.way + hit.t;
+            let s = surface_at(branch.ray.direction, hit, pixel_width(way));
             if !from_camera {
                 radiance += branch.weight * shade(s, -branch.ray.direction, pixel);
             }
-            let mask = bitcast<vec4f>(dynamic_word(material_at(s.instance) + 3u));
-            if (mask.x > 0.0 || mask.y > 0.0) && branch.depth < trace.max_depth {
+            if (s.look.mirror > 0.0 || s.look.transmission > 0.0) && branch.depth < trace.max_depth {
                 let along = branch.ray.direction;
                 let optics = split(s, along, branch.inside);
                 let weight = branch.weight;
@@ -136,7 +137,7 @@ fn traced_radiance(seen: Hit, origin: vec3f, d: vec3f, pixel: u32) -> vec3f {
                 let outside = branch.inside;
                 if optics.hidden {
                     if crossed < 4u * trace.max_depth && worth(weight) {
-                        branch = Branch(leaving_ray(s, along), weight, depth, crossed + 1u, true, optics.behind);
+                        branch = Branch(leaving_ray(s, along), weight, depth, crossed + 1u, true, way, optics.behind);
                         go_on = true;
                     }
                 } else {
@@ -146,10 +147,10 @@ fn traced_radiance(seen: Hit, origin: vec3f, d: vec3f, pixel: u32) -> vec3f {
                     let goes_back = any(optics.reflected != vec3f(0.0)) && worth(back);
                     go_on = goes_through || goes_back;
                     let refracted = Branch(
-                        leaving_ray(s, optics.transmitted_direction), through, depth + 1u, crossed + 1u, true,
+                        leaving_ray(s, optics.transmitted_direction), through, depth + 1u, crossed + 1u, true, way,
                         optics.behind);
                     let r = above_horizon(reflect_view(-along, s.n_shading), s.n_geometric);
-                    let reflected = Branch(leaving_ray(s, r), back, depth + 1u, crossed + 1u, false, outside);
+                    let reflected = Branch(leaving_ray(s, r), back, depth + 1u, crossed + 1u, false, way, outside);
                     // The lesser first: each ray that waits is then worth at least as much as all that go before it.
                     let back_first = goes_back && !(goes_through && sum(through) < sum(back));
                     if goes_through && goes_back {
@@ -175,6 +176,12 @@ fn traced_radiance(seen: Hit, origin: vec3f, d: vec3f, pixel: u32) -> vec3f {
     return radiance;
 }
 
+// Twin: trace/surface.rs, PixelCone.
+fn pixel_width(way: f32) -> f32 {
+    let pixel = 2.0 * frame.half_height / f32(frame.size.y);
+    return select(pixel * way, pixel, frame.orthographic != 0u);
+}
+
 // The triangle that the rasteriser saw at a pixel, and the ray to it.
 fn trace_pixel(pixel: vec2u) -> vec3f {
     let seen = textureLoad(visibility, pixel, 0).xy;
@@ -184,13 +191,11 @@ fn trace_pixel(pixel: vec2u) -> vec3f {
     let instance = read_instance(seen.x - 1u);
     let vertices = triangle_vertices(instance, seen.y);
     let ray = camera_ray(frame, vec2f(pixel) + 0.5);
-    let uv = plane_barycentrics(
-        ray.origin,
-        ray.direction,
-        point_world_from_object(instance, float3(geometry_word(vertices.x))),
-        point_world_from_object(instance, float3(geometry_word(vertices.y))),
-        point_world_from_object(instance, float3(geometry_word(vertices.z))),
-    );
-    let hit = Hit(0.0, uv.x, uv.y, seen.x - 1u, seen.y);
+    let p0 = point_world_from_object(instance, float3(geometry_word(vertices.x)));
+    let p1 = point_world_from_object(instance, float3(geometry_word(vertices.y)));
+    let p2 = point_world_from_object(instance, float3(geometry_word(vertices.z)));
+    let uv = plane_barycentrics(ray.origin, ray.direction, p0, p1, p2);
+    let place = p0 * (1.0 - uv.x - uv.y) + p1 * uv.x + p2 * uv.y;
+    let hit = Hit(distance(frame.eye_world, place), uv.x, uv.y, seen.x - 1u, seen.y);
     return traced_radiance(hit, ray.origin, ray.direction, pixel.y * frame.size.x + pixel.x);
 }
