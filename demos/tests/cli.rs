@@ -112,16 +112,54 @@ fn wrong_use_is_status_2() {
 
 #[test]
 fn what_this_version_lacks_is_said_and_never_replaced() {
-    for choice in
-        [&["--tracer", "gpu"][..], &["--tracer", "gpu-fragment"], &["--tracer", "rayquery"], &["--budget", "1000"]]
-    {
+    // A tracer on the GPU without the GPU's lane, and what is not there yet.
+    for choice in [
+        &["--tracer", "gpu", "--raster", "cpu"][..],
+        &["--tracer", "gpu-fragment", "--raster", "cpu"],
+        &["--tracer", "rayquery", "--raster", "cpu"],
+        &["--budget", "1000"],
+    ] {
         let out = folder("lacks");
         let o = ["--out", text(&out)];
-        fails(&[&["render", "rolling-box"], choice, &o].concat(), 1, &choice.join(" ").replace(" 1000", ""));
+        let name = choice[..2].join(" ").replace(" 1000", "");
+        fails(&[&["render", "rolling-box"], choice, &o].concat(), 1, &name);
         fails(&[&["bench", "rolling-box"], choice].concat(), 1, choice[0]);
         assert!(files(&out).is_empty());
     }
     fails(&["replay", "no-such-game.replay"], 1, "cannot be read");
+}
+
+#[test]
+fn the_tracer_that_runs_is_said() {
+    // `auto` follows what is remembered of the adapter, an explicit choice does not, and a broken memory does no harm.
+    let cache = folder("tracer-cache");
+    let run = |args: &[&str]| {
+        let mut command = Command::new(env!("CARGO_BIN_EXE_catoptra"));
+        command.args(args).env("CATOPTRA_CACHE_DIR", &cache).env("XDG_RUNTIME_DIR", &cache).env_remove("DISPLAY");
+        command.output().expect("the binary runs")
+    };
+    std::fs::write(cache.join("tracer.txt"), [0xffu8, 0, 9, 9]).unwrap();
+    let told = stdout(&run(&["info"]));
+    let line = told.lines().find(|l| l.starts_with("tracer auto: ")).expect("info says the tracer");
+    assert!(line.contains("cpu (") || line.contains("gpu (") || line.contains("rayquery ("), "{line}");
+    if told.lines().any(|l| l.starts_with("adapter: none")) {
+        eprintln!("SKIPPED the_tracer_that_runs_is_said: no adapter");
+        return;
+    }
+    let small = ["--size", "24x16", "--preset", "draft", "--shadows", "off"];
+    let tracer = |choice: &[&str]| {
+        let out = folder("tracer-out");
+        let output = run(&[&["render", "two-spheres", "--out", text(&out)], &small[..], choice].concat());
+        assert!(output.status.success(), "{choice:?}: {}", stderr(&output));
+        let stats: serde_json::Value = serde_json::from_slice(&std::fs::read(out.join("stats.json")).unwrap()).unwrap();
+        assert_eq!(stats["tracer"], stats["scenes"][0]["tracer"]);
+        assert!(stats["scenes"][0]["uploaded_bytes"].is_u64());
+        stats["tracer"].as_str().unwrap().to_string()
+    };
+    assert_eq!(tracer(&["--tracer", "gpu"]), "gpu");
+    assert_eq!(tracer(&["--tracer", "gpu-fragment"]), "gpu-fragment");
+    assert_eq!(tracer(&["--tracer", "cpu"]), "cpu");
+    assert_eq!(tracer(&["--raster", "cpu"]), "cpu");
 }
 
 #[test]

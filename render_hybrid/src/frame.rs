@@ -15,9 +15,9 @@ use std::time::Instant;
 use crate::{
     error::RenderError,
     output::{Frame, FrameStats, Image, Layer, StageTimes},
-    raster::GpuRaster,
+    raster::{GpuRaster, RasterInputs, TracedRays},
     renderer::{FrameState, device_name, update_structures},
-    settings::{RasterLane, RenderSettings, Shadows, SimdLevel, VplShadows},
+    settings::{RasterLane, RenderSettings, Shadows, SimdLevel, Tracer, VplShadows},
     trace::{
         camera_rays::{self, TracedLight},
         explain::{self, RayTree},
@@ -72,7 +72,7 @@ fn cpu_frame(
     settings: &RenderSettings,
     frame: &mut Frame,
 ) {
-    frame.stats.raster = RasterLane::Cpu;
+    (frame.stats.raster, frame.stats.tracer) = (RasterLane::Cpu, Tracer::Cpu);
     structures(state, scene, settings, &mut frame.stats);
     moments(state, level, scene, settings, &mut frame.stats);
     virtual_lights(state, scene, settings, &mut frame.stats);
@@ -144,6 +144,22 @@ fn gpu_frame(
     let indirect = trace_vpls.then_some(traced.indirect.as_slice());
     frame.stats.stages_ms.direct = milliseconds(start);
 
+    let bound = geometry_term_max(scene, settings);
+    if traces_on_gpu(state, gpu, scene, settings, bound)? {
+        // A frame that never leaves the GPU.
+        frame.stats.tracer = gpu.tracer();
+        gpu.light(&state.photons.vpls, bound, visibility, indirect)?;
+        gpu.trace()?;
+        gpu.compose_traced()?;
+        if read_back {
+            let (masked, rays) = gpu.read_trace_counts()?;
+            count_traced(&mut frame.stats, masked, rays.unwrap_or_default());
+        }
+        return finish_gpu_frame(gpu, settings, read_back, frame);
+    }
+    frame.stats.tracer = Tracer::Cpu;
+    frame.stats.tracer_fallback.clone_from(&state.tracer_fallback);
+
     // Read the mask before light is submitted: the GPU works in order, and a read behind it would wait for it.
     let start = Instant::now();
     let masked = gpu.read_masked_pixels()?;
@@ -155,7 +171,6 @@ fn gpu_frame(
     frame.stats.stages_ms.transfer += milliseconds(start);
 
     // The GPU lights all pixels while the CPU traces the masked ones.
-    let bound = geometry_term_max(scene, settings);
     gpu.light(&state.photons.vpls, bound, visibility, indirect)?;
     let start = Instant::now();
     let traced = if settings.traced {
@@ -167,6 +182,64 @@ fn gpu_frame(
 
     let start = Instant::now();
     gpu.compose(&traced)?;
+    frame.stats.stages_ms.transfer += milliseconds(start);
+    finish_gpu_frame(gpu, settings, read_back, frame)
+}
+
+/// Brings the GPU's tracer up to the scene; false where the CPU traces: by choice, or because the scene is too large for the
+/// adapter and `Auto` may fall back.
+fn traces_on_gpu(
+    state: &mut FrameState,
+    gpu: &mut GpuRaster,
+    scene: &RenderScene,
+    settings: &RenderSettings,
+    geometry_term_max: f32,
+) -> Result<bool, RenderError> {
+    if !settings.traced || gpu.tracer() == Tracer::Cpu {
+        return Ok(false);
+    }
+    let (accel, vpls) = (&state.accel, state.photons.vpls.as_slice());
+    let maps = settings.vpl.is_some_and(|v| v.shadows == VplShadows::Maps);
+    let prepared = if maps && vpls.len() > gpu.most_vpl_maps() as usize {
+        let (wanted, most) = (vpls.len(), gpu.most_vpl_maps());
+        Err(RenderError::Unavailable {
+            choice: format!("--tracer {}", gpu.tracer().name()),
+            missing: format!("{wanted} VPL maps, but this adapter holds {most}"),
+        })
+    } else {
+        gpu.prepare_trace(&RasterInputs { scene, accel, settings, vpls, geometry_term_max })
+    };
+    match prepared {
+        Ok(()) => Ok(true),
+        Err(RenderError::Unavailable { choice, missing }) if state.automatic_tracer => {
+            tracing::warn!("{choice}: {missing}; the CPU traces");
+            state.tracer_fallback = Some(format!("{choice}: {missing}"));
+            gpu.set_tracer(Tracer::Cpu, false)?;
+            Ok(false)
+        }
+        Err(error) => Err(error),
+    }
+}
+
+fn count_traced(stats: &mut FrameStats, masked: u64, rays: TracedRays) {
+    stats.masked_pixels = masked;
+    stats.rays.reflection += rays.reflection;
+    stats.rays.refraction += rays.refraction;
+    stats.rays.shadow += rays.shadow;
+    stats.rays.vpl += rays.vpl;
+    if rays.capped > 0 {
+        tracing::warn!("{} pixels met a cap of the GPU's tracer", rays.capped);
+    }
+}
+
+/// What is read back of a composed frame, and its figures.
+fn finish_gpu_frame(
+    gpu: &mut GpuRaster,
+    settings: &RenderSettings,
+    read_back: bool,
+    frame: &mut Frame,
+) -> Result<(), RenderError> {
+    let start = Instant::now();
     if read_back {
         frame.image = gpu.read_layer(Layer::Final)?;
     }
@@ -185,6 +258,7 @@ fn gpu_frame(
             "gbuffer" | "compact" => &mut stages.gbuffer,
             "direct" => &mut stages.direct,
             "indirect" => &mut stages.indirect,
+            "traced" => &mut stages.traced,
             _ => &mut stages.compose,
         } += milliseconds;
     }

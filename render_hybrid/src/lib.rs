@@ -15,6 +15,7 @@ mod renderer;
 pub mod settings;
 pub mod simd;
 pub mod trace;
+mod tracer_choice;
 pub mod twin;
 
 pub use error::RenderError;
@@ -26,6 +27,7 @@ pub use plugin::{
 pub use query::{SceneQuery, SurfaceHit};
 pub use renderer::{Renderer, render_to_image};
 pub use settings::*;
+pub use tracer_choice::TracerChoice;
 
 pub use bevy_app;
 pub use bevy_ecs;

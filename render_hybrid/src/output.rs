@@ -1,6 +1,6 @@
 //! What a frame gives back.
 
-use crate::settings::RasterLane;
+use crate::settings::{RasterLane, Tracer};
 
 /// Linear RGB picture, `[height][width][3]`, row 0 on top.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -167,6 +167,10 @@ pub struct StageTimes {
 pub struct FrameStats {
     /// The lane that ran.
     pub raster: RasterLane,
+    /// The tracer that ran.
+    pub tracer: Tracer,
+    /// Why it is not the one that `Auto` had chosen: what was too large for the adapter, with figures.
+    pub tracer_fallback: Option<String>,
     /// Adapter name (GPU lane) or SIMD level (CPU lane).
     pub device: String,
     /// Milliseconds per stage.

@@ -10,7 +10,7 @@ use crate::{
     output::{Frame, FrameStats, Image},
     query::SceneQuery,
     raster::{GpuRaster, HostView, list_adapters},
-    settings::{GlassShadows, RasterLane, RenderSettings, RendererOptions, SimdLevel},
+    settings::{BlasKind, GlassShadows, RasterLane, RenderSettings, RendererOptions, SimdLevel, Tracer},
     simd,
     trace::{
         explain::RayTree,
@@ -18,6 +18,7 @@ use crate::{
         reference::{ReferenceAccumulator, ReferenceOptions},
         surface::NormalMatrices,
     },
+    tracer_choice::{self, Memory, TracerChoice},
     twin::{interleave::Guide, shadow::ShadowMaps, tile::TileScratch, vpl::Vpl, vpl_maps::VplMaps},
 };
 
@@ -28,6 +29,7 @@ pub struct Renderer {
     pub(crate) state: FrameState,
     /// A fault of the GPU is answered by the CPU lane.
     automatic: bool,
+    tracer: TracerChoice,
     /// Why the GPU lane was given up.
     fault: Option<String>,
     /// The host's device, where one was lent.
@@ -62,6 +64,10 @@ pub(crate) struct FrameState {
     pub tiles: Vec<Mutex<TileScratch>>,
     /// `None` on the CPU lane.
     pub gpu: Option<GpuRaster>,
+    /// A scene that the GPU's tracer cannot hold is traced by the CPU.
+    pub automatic_tracer: bool,
+    /// Why that happened.
+    pub tracer_fallback: Option<String>,
 }
 
 impl Renderer {
@@ -75,6 +81,8 @@ impl Renderer {
             RasterLane::Gpu => Some(GpuRaster::new()?),
             // A software adapter is dearer than the CPU twin on the same cores.
             RasterLane::Auto if list_adapters().iter().any(|a| !a.software) => GpuRaster::new().ok(),
+            // An explicit tracer on the GPU wants its lane, whatever it runs on.
+            RasterLane::Auto if !matches!(options.tracer, Tracer::Auto | Tracer::Cpu) => Some(GpuRaster::new()?),
             RasterLane::Auto => None,
         };
         Self::with_gpu(options, gpu)
@@ -107,9 +115,110 @@ impl Renderer {
             guides: Vec::new(),
             tiles: (0..threads).map(|_| Mutex::default()).collect(),
             gpu,
+            automatic_tracer: options.tracer == Tracer::Auto,
+            tracer_fallback: None,
         };
-        let automatic = options.raster == RasterLane::Auto;
-        Ok(Self { pool, level, state, automatic, fault: None, host: None, host_view: None })
+        // What was asked for by name does not fall back.
+        let automatic = options.raster == RasterLane::Auto && matches!(options.tracer, Tracer::Auto | Tracer::Cpu);
+        let tracer = TracerChoice::new(Tracer::Cpu, "chosen");
+        let mut renderer = Self { pool, level, state, automatic, tracer, fault: None, host: None, host_view: None };
+        renderer.choose_tracer(options)?;
+        Ok(renderer)
+    }
+
+    fn choose_tracer(&mut self, options: RendererOptions) -> Result<(), RenderError> {
+        let kd = options.blas == BlasKind::KdTree;
+        let Some(gpu) = &mut self.state.gpu else {
+            return match options.tracer {
+                Tracer::Cpu => Ok(()),
+                Tracer::Auto => {
+                    self.tracer.why = "the CPU makes every stage".into();
+                    Ok(())
+                }
+                other => Err(RenderError::Unavailable {
+                    choice: format!("--tracer {}", other.name()),
+                    missing: "it traces the pixels of the GPU's raster lane, and that is not the one that runs".into(),
+                }),
+            };
+        };
+        if options.tracer != Tracer::Auto {
+            gpu.set_tracer(options.tracer, kd)?;
+            self.tracer = TracerChoice::new(options.tracer, "chosen");
+            return Ok(());
+        }
+        let memory = Memory::of_user();
+        let (adapter, threads) = (gpu.adapter().clone(), self.pool.current_num_threads());
+        let key = Memory::key(&adapter, threads);
+        if let Some(known) = memory.recall(&key)
+            && self.take_tracer(known, kd)
+        {
+            self.tracer = TracerChoice::new(known, format!("measured before, kept in {}", memory.place()));
+            return Ok(());
+        }
+        if adapter.software {
+            self.tracer.why = "a software adapter is slower than all cores at this".into();
+            return Ok(());
+        }
+        match tracer_choice::fastest(self.measure_tracers(options.blas)) {
+            Some((tracer, figures)) => {
+                self.take_tracer(tracer, kd);
+                memory.remember(&key, tracer, &figures);
+                self.tracer = TracerChoice::new(tracer, format!("measured: {figures}"));
+            }
+            None => self.tracer.why = "nothing could be measured".into(),
+        }
+        Ok(())
+    }
+
+    /// False where this device has not got it.
+    fn take_tracer(&mut self, tracer: Tracer, kd: bool) -> bool {
+        self.state.gpu.as_mut().is_some_and(|gpu| gpu.set_tracer(tracer, kd).is_ok())
+    }
+
+    /// Milliseconds a frame of a small scene with each tracer that this machine has, on the lane that runs; the fastest of a
+    /// few frames. What [`Tracer::Auto`] does on an adapter's first use. Empty on the CPU lane.
+    pub fn measure_tracers(&mut self, blas: BlasKind) -> Vec<(Tracer, f64)> {
+        let (scene, settings) = (tracer_choice::measured_scene(), tracer_choice::measured_settings());
+        let before = self.state.gpu.as_ref().map_or(Tracer::Cpu, GpuRaster::tracer);
+        let kd = blas == BlasKind::KdTree;
+        let mut measured = Vec::new();
+        for tracer in Tracer::ALL {
+            if !self.take_tracer(tracer, kd) {
+                continue;
+            }
+            let mut best = f64::INFINITY;
+            for frame in 0..tracer_choice::MEASURED_FRAMES {
+                let (level, state) = (self.level, &mut self.state);
+                match self.pool.install(|| frame::render_frame(state, level, &scene, &settings, true)) {
+                    // The first frame sends the scene.
+                    Ok(_) if frame == 0 => {}
+                    Ok(made) => best = best.min(made.stats.stages_ms.total),
+                    Err(_) => break,
+                }
+            }
+            if best.is_finite() {
+                measured.push((tracer, best));
+            }
+        }
+        self.take_tracer(before, kd);
+        measured
+    }
+
+    /// For tests: takes a tracer as if `Auto` had measured it.
+    ///
+    /// # Errors
+    /// As [`GpuRaster::set_tracer`].
+    #[doc(hidden)]
+    pub fn assume_tracer(&mut self, tracer: Tracer) -> Result<(), RenderError> {
+        let Some(gpu) = &mut self.state.gpu else { return Ok(()) };
+        gpu.set_tracer(tracer, false)?;
+        self.tracer = TracerChoice::new(tracer, "assumed");
+        Ok(())
+    }
+
+    /// The tracer that was chosen, and why.
+    pub fn tracer(&self) -> &TracerChoice {
+        &self.tracer
     }
 
     /// A renderer on a device of the host's, whose handles are cheap clones: its views can be drawn into with
@@ -130,7 +239,12 @@ impl Renderer {
         let gpu = match options.raster {
             RasterLane::Cpu => None,
             RasterLane::Gpu => Some(lane(&device, &queue)?),
-            RasterLane::Auto if device.adapter_info().device_type == wgpu::DeviceType::Cpu => None,
+            RasterLane::Auto
+                if device.adapter_info().device_type == wgpu::DeviceType::Cpu
+                    && matches!(options.tracer, Tracer::Auto | Tracer::Cpu) =>
+            {
+                None
+            }
             RasterLane::Auto => lane(&device, &queue).map_err(|e| tracing::warn!("the CPU lane is used: {e}")).ok(),
         };
         Ok(Self { host: Some((device, queue)), ..Self::with_gpu(options, gpu)? })
@@ -156,6 +270,10 @@ impl Renderer {
                 let state = &mut self.state;
                 self.pool.install(|| frame::render_frame(state, level, scene, settings, read_back))
             }
+            // A tracer that was asked for by name is named.
+            Err(RenderError::Gpu(why)) if !self.state.automatic_tracer && self.tracer.tracer != Tracer::Cpu => {
+                Err(RenderError::Gpu(format!("--tracer {}: {why}", self.tracer.tracer.name())))
+            }
             made => made,
         }
     }
@@ -166,6 +284,7 @@ impl Renderer {
             self.host = self.state.gpu.as_ref().map(|g| (g.device().0.clone(), g.device().1.clone()));
         }
         self.state.gpu = None;
+        self.tracer = TracerChoice::new(Tracer::Cpu, format!("the GPU failed: {why}"));
         self.fault = Some(why);
     }
 

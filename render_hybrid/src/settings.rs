@@ -13,6 +13,38 @@ pub enum RasterLane {
     Gpu,
 }
 
+/// Who traces mirrors and glass. All show the same picture within a stated tolerance (docs/gpu-tracer.md).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Tracer {
+    /// What was fastest on this adapter when it was measured, the CPU on a software adapter or with the CPU's raster lane.
+    #[default]
+    Auto,
+    /// All cores.
+    Cpu,
+    /// A compute pass over the CPU's own trees; wants the GPU's raster lane.
+    Gpu,
+    /// The same in a fragment pass that reads textures alone.
+    GpuFragment,
+    /// The adapter's ray tracing hardware.
+    RayQuery,
+}
+
+impl Tracer {
+    /// All but `Auto`, in the order in which equals are preferred.
+    pub const ALL: [Self; 4] = [Self::RayQuery, Self::Gpu, Self::GpuFragment, Self::Cpu];
+
+    /// Name on the command line and in files.
+    pub fn name(self) -> &'static str {
+        match self {
+            Self::Auto => "auto",
+            Self::Cpu => "cpu",
+            Self::Gpu => "gpu",
+            Self::GpuFragment => "gpu-fragment",
+            Self::RayQuery => "rayquery",
+        }
+    }
+}
+
 /// Shadows of point, spot and directional lights.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Shadows {
@@ -300,6 +332,8 @@ impl RenderSettings {
 pub struct RendererOptions {
     /// Raster lane.
     pub raster: RasterLane,
+    /// Tracer of mirrors and glass.
+    pub tracer: Tracer,
     /// Worker threads; 0: one a processor. Never changes the picture.
     pub threads: usize,
     /// SIMD level. Never changes the picture.

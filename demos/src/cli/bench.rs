@@ -59,7 +59,7 @@ fn entry(world: &World, size: (u32, u32), records: &[FrameRecord]) -> Value {
         "scene": world.name,
         "lane": last.map(|s| stats::lane_name(s.raster)),
         "device": last.map(|s| s.device.clone()),
-        "tracer": stats::TRACER,
+        "tracer": last.map(|s| s.tracer.name()),
         "size": [size.0, size.1],
         "frames": records.len(),
         "triangles": world.scene().triangle_count(),

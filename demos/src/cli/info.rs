@@ -36,5 +36,7 @@ pub fn info() -> Result<(), Failure> {
         let kind = if adapter.software { ", software" } else { "" };
         line(format!("adapter: {} ({}{kind}), {}", adapter.name, adapter.backend, adapter.driver))?;
     }
-    line(format!("raster auto: {} ({})", stats::lane_name(renderer.lane()), renderer.device()))
+    line(format!("raster auto: {} ({})", stats::lane_name(renderer.lane()), renderer.device()))?;
+    let choice = renderer.tracer();
+    line(format!("tracer auto: {} ({})", choice.tracer.name(), choice.why))
 }

@@ -88,7 +88,8 @@ pub fn render(job: &RenderJob<'_>) -> Result<(), Failure> {
         "machine": stats::machine(&renderer),
         "raster": stats::lane_name(renderer.lane()),
         "device": renderer.device(),
-        "tracer": stats::TRACER,
+        "tracer": renderer.tracer().tracer.name(),
+        "tracer_why": renderer.tracer().why,
         "scenes": entries,
     });
     image_io::write_atomically(&job.out.join("stats.json"), format!("{file:#}\n").as_bytes())?;

@@ -58,9 +58,6 @@ pub fn simd_name(level: SimdLevel) -> &'static str {
     }
 }
 
-/// The tracer that runs in this version.
-pub const TRACER: &str = "cpu";
-
 /// The stages of one frame by name, milliseconds.
 pub fn stages(record: &FrameRecord) -> [(&'static str, f64); 12] {
     let StageTimes { accel, moments, vpls, gbuffer, direct, indirect, traced, compose, transfer, total } =
@@ -139,7 +136,9 @@ pub fn scene_entry(scene: &str, layer: &str, size: (u32, u32), triangles: usize,
         "triangles": triangles,
         "raster": last.map(|s| lane_name(s.raster)),
         "device": last.map(|s| s.device.clone()),
-        "tracer": TRACER,
+        "tracer": last.map(|s| s.tracer.name()),
+        // What `auto` had chosen and the adapter could not hold.
+        "tracer_fallback": last.and_then(|s| s.tracer_fallback.clone()),
         "frame_ms": frame_times(records),
         "stages_ms": stage_medians(records),
         "rays": ray_medians(records),
@@ -150,6 +149,7 @@ pub fn scene_entry(scene: &str, layer: &str, size: (u32, u32), triangles: usize,
             "first_frame": records.first().map(|r| r.stats.blas_builds),
             "later_frames": later.map(|r| u64::from(r.stats.blas_builds)).sum::<u64>(),
         },
+        "uploaded_bytes": median(records.iter().map(|r| r.stats.bytes_up as f64)).round() as u64,
         "bytes_up": median(records.iter().map(|r| r.stats.bytes_up as f64)).round() as u64,
         "bytes_down": median(records.iter().map(|r| r.stats.bytes_down as f64)).round() as u64,
         "non_finite_pixels": records.iter().map(|r| r.stats.non_finite.0).sum::<u64>(),
@@ -160,6 +160,7 @@ pub fn scene_entry(scene: &str, layer: &str, size: (u32, u32), triangles: usize,
             "masked_share": share(&r.stats),
             "tlas_nodes_touched": r.stats.tlas_nodes_touched,
             "blas_builds": r.stats.blas_builds,
+            "uploaded_bytes": r.stats.bytes_up,
             "bytes_up": r.stats.bytes_up,
             "bytes_down": r.stats.bytes_down,
         })).collect::<Vec<_>>(),

@@ -8,6 +8,7 @@
 mod blas;
 mod boxes;
 mod cutout;
+pub(crate) mod flat;
 mod instance;
 mod kdtree;
 mod node;

@@ -52,6 +52,17 @@ struct Slot {
     world_from_object: Affine3,
 }
 
+impl Follow {
+    /// By tree.
+    pub fn meshes(&self) -> &[Option<Arc<Mesh>>] {
+        &self.meshes
+    }
+    /// The slot of an instance.
+    pub fn slot(&self, instance_id: u32) -> u32 {
+        self.slot_of[instance_id as usize]
+    }
+}
+
 impl World {
     pub fn new(kind: BlasKind) -> Self {
         Self {

@@ -61,7 +61,13 @@ impl CompactPass {
 
     /// The list of the last [`Self::record`]: its length first, then that many numbers.
     pub fn read(&self, gpu: &Gpu, readback: &mut Readback, targets: &PictureTargets) -> Result<Vec<u32>, RenderError> {
+        let count = self.read_count(gpu, readback, targets)?;
+        readback.buffer(gpu, &targets.pixels, 0, u64::from(count) * 4)
+    }
+
+    /// Length of that list.
+    pub fn read_count(&self, gpu: &Gpu, readback: &mut Readback, targets: &PictureTargets) -> Result<u32, RenderError> {
         let count: Vec<u32> = readback.buffer(gpu, &targets.blocks, block_count(targets) * 4, 4)?;
-        readback.buffer(gpu, &targets.pixels, 0, u64::from(count[0]) * 4)
+        Ok(count[0])
     }
 }

@@ -106,10 +106,15 @@ impl ComposePass {
                 gpu.queue.submit([full.finish()]);
             }
         }
+        self.record_sum(encoder, groups, targets);
+        Ok(())
+    }
+
+    /// Records the sum alone: the traced layer is there already.
+    pub fn record_sum(&self, encoder: &mut wgpu::CommandEncoder, groups: &ComposeGroups, targets: &PictureTargets) {
         let mut pass = draw_pass(encoder, "compose", &targets.last.view, wgpu::Color::BLACK, None);
         pass.set_pipeline(&self.sum);
         pass.set_bind_group(1, &groups.sum, &[]);
         pass.draw(0..3, 0..1);
-        Ok(())
     }
 }

@@ -86,6 +86,15 @@ fn missing(limits: &wgpu::Limits) -> Option<String> {
     None
 }
 
+/// Leave to use ray queries, which wgpu calls experimental.
+#[allow(unsafe_code)]
+fn ray_queries() -> wgpu::ExperimentalFeatures {
+    // SAFETY: the one shader that uses them (shaders/tracer/hits_rayquery.wgsl) initialises each query before it proceeds,
+    // reads candidates only after `rayQueryProceed` was true, and binds trees that were built in an earlier or the same
+    // submission.
+    unsafe { wgpu::ExperimentalFeatures::enabled() }
+}
+
 /// A device with what the lane needs, and what went wrong with it.
 pub(crate) struct Gpu {
     pub device: wgpu::Device,
@@ -111,13 +120,19 @@ impl Gpu {
                 continue;
             }
             let wanted = wgpu::Features::TIMESTAMP_QUERY | wgpu::Features::TIMESTAMP_QUERY_INSIDE_ENCODERS;
-            let request = adapter.request_device(&wgpu::DeviceDescriptor {
-                label: Some("catoptra"),
-                required_features: adapter.features() & wanted,
-                required_limits: limits,
-                ..Default::default()
-            });
-            match pollster::block_on(request) {
+            let request = |features: wgpu::Features| {
+                let experimental = features.contains(wgpu::Features::EXPERIMENTAL_RAY_QUERY);
+                pollster::block_on(adapter.request_device(&wgpu::DeviceDescriptor {
+                    label: Some("catoptra"),
+                    required_features: adapter.features() & features,
+                    required_limits: limits.clone(),
+                    experimental_features: if experimental { ray_queries() } else { Default::default() },
+                    ..Default::default()
+                }))
+            };
+            // Ray queries where there are any; an adapter that says so and gives no device serves without.
+            let queries = adapter.features() & wgpu::Features::EXPERIMENTAL_RAY_QUERY;
+            match request(wanted | queries).or_else(|_| request(wanted)) {
                 Ok((device, queue)) => {
                     let gpu = Self::with(device, queue, AdapterSummary::new(&info));
                     gpu.catch_faults();

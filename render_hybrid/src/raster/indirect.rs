@@ -76,6 +76,11 @@ impl IndirectPass {
         Ok(replaced)
     }
 
+    /// The maps, a row each, and texels a side of one; 0: none.
+    pub fn maps(&self) -> (&wgpu::TextureView, u32) {
+        (&self.maps.view, self.map_size)
+    }
+
     pub fn bind(&self, gpu: &Gpu, t: &PictureTargets) -> IndirectGroups {
         let chunk = || {
             wgpu::BindingResource::Buffer(wgpu::BufferBinding {

@@ -26,6 +26,8 @@ mod targets;
 #[doc(hidden)]
 pub mod testing;
 mod timer;
+mod traced;
+mod tracer;
 
 use catoptra_engine::RenderScene;
 
@@ -44,6 +46,8 @@ use readback::Readback;
 use scene_buffers::SceneBuffers;
 use targets::{PictureTargets, ShadowTargets};
 use timer::StageTimer;
+pub use tracer::TracedRays;
+use tracer::{GpuTracer, TraceInputs};
 
 /// Surfaces of all pixels, row by row from the top. Where nothing was met everything is 0 and `material` `u32::MAX`.
 #[derive(Clone, Debug, Default)]
@@ -69,6 +73,19 @@ struct Bindings {
     indirect: indirect::IndirectGroups,
     compose: compose::ComposeGroups,
     present: wgpu::BindGroup,
+}
+
+/// What the tracer needs of a frame.
+#[derive(Clone, Copy)]
+pub(crate) struct RasterInputs<'a> {
+    pub scene: &'a RenderScene,
+    /// Up to the scene.
+    pub accel: &'a crate::accel::Accel,
+    pub settings: &'a RenderSettings,
+    /// In the order of their maps.
+    pub vpls: &'a [Vpl],
+    /// 1/m²; +infinity: none.
+    pub geometry_term_max: f32,
 }
 
 /// What one frame's passes need to know of each other.
@@ -102,6 +119,7 @@ pub struct GpuRaster {
     bindings: Option<Bindings>,
     plan: ShadowPlan,
     frame: Option<FrameState>,
+    tracer: Option<GpuTracer>,
 }
 
 impl GpuRaster {
@@ -162,6 +180,7 @@ impl GpuRaster {
             bindings: None,
             plan: ShadowPlan::default(),
             frame: None,
+            tracer: None,
         })
     }
 
@@ -214,18 +233,19 @@ impl GpuRaster {
         settings: &RenderSettings,
         plan: &ShadowPlan,
     ) -> Result<(), RenderError> {
-        let gpu = &self.gpu;
         if (self.picture.width, self.picture.height) != (settings.width, settings.height) {
-            self.bindings = None;
+            self.unbind();
+            let gpu = &self.gpu;
             self.picture = PictureTargets::new(gpu, settings.width, settings.height)?;
         }
         let moments = settings.shadows == Shadows::Moments && !plan.views.is_empty();
         let wanted = ShadowTargets::wanted(plan);
         if moments && !self.shadows.fits(wanted) {
-            self.bindings = None;
+            self.unbind();
+            let gpu = &self.gpu;
             self.shadows = ShadowTargets::new(gpu, wanted)?;
         }
-        self.scene.update(gpu, scene, plan, settings.width, settings.height)?;
+        self.scene.update(&self.gpu, scene, plan, settings.width, settings.height)?;
         if self.plan != *plan {
             self.plan.clone_from(plan);
         }
@@ -255,6 +275,14 @@ impl GpuRaster {
         timer.end(gpu, "compact", stage)?;
         self.frame = Some(FrameState { settings: *settings, moments });
         Ok(())
+    }
+
+    /// Textures are about to be replaced.
+    fn unbind(&mut self) {
+        self.bindings = None;
+        if let Some(tracer) = &mut self.tracer {
+            tracer.unbind();
+        }
     }
 
     fn bind(&mut self) {
@@ -340,6 +368,9 @@ impl GpuRaster {
             let replaced = s.indirect.upload_maps(&s.gpu, maps)?;
             if let (true, Some(bindings)) = (replaced, &mut s.bindings) {
                 bindings.indirect = s.indirect.bind(&s.gpu, &s.picture);
+            }
+            if let (true, Some(tracer)) = (replaced, &mut s.tracer) {
+                tracer.unbind();
             }
             Ok(())
         })

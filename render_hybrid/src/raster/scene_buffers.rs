@@ -190,6 +190,11 @@ impl SceneBuffers {
         self.group.as_ref().expect("SceneBuffers::update comes first")
     }
 
+    /// The frame's uniform and the table of sRGB values, for passes that bind them otherwise.
+    pub fn uniforms(&self) -> [&wgpu::Buffer; 2] {
+        [&self.frame, &self.srgb_table]
+    }
+
     /// Brings the GPU's copy up to the scene.
     pub fn update(
         &mut self,

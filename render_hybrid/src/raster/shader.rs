@@ -6,6 +6,7 @@ use crate::twin::{
 };
 
 use super::layouts;
+use crate::accel::flat;
 
 macro_rules! sources {
     ($($name:literal),+ $(,)?) => { &[$(($name, include_str!(concat!("../shaders/", $name, ".wgsl")))),+] };
@@ -42,6 +43,8 @@ pub const SHARED: &[(&str, &str)] = sources![
     "shared/vpl",
     "shared/vpl_maps",
     "shared/fullscreen",
+    "shared/intersect",
+    "shared/sampling",
 ];
 
 /// Pixels a workgroup of the compaction.
@@ -81,6 +84,7 @@ pub fn generated_constants() -> String {
     u("ATTRIBUTE_ALPHA", layouts::ATTRIBUTE_ALPHA);
     u("ATTRIBUTE_TANGENT", layouts::ATTRIBUTE_TANGENT);
     u("ATTRIBUTE_HANDEDNESS", layouts::ATTRIBUTE_HANDEDNESS);
+    u("NONE", u32::MAX);
     u("COMPACT_BLOCK", COMPACT_BLOCK);
     u("VPL_CHUNK", VPL_CHUNK);
     for (name, kind) in layouts::PACKED_LAYERS {
@@ -99,6 +103,13 @@ pub fn generated_constants() -> String {
     f("EVSM_NEGATIVE", EVSM_EXPONENTS[1]);
     f("VPL_DEPTH_SLACK", DEPTH_SLACK);
     f("VPL_NEAREST_PLANE_INVERSE", 1.0 / NEAREST_PLANE);
+    f("RAY_PAD", flat::PAD);
+    f("RAY_LEAST_SLOPE", flat::LEAST_SLOPE);
+    f("TRIANGLE_CONDITION", flat::CONDITION);
+    f("TRIANGLE_DET_MIN", flat::DET_MIN);
+    f("TRIANGLE_DET_MAX", flat::DET_MAX);
+    // Two products and a difference, each rounded or not: 2^-22 of the products' sum is more than they can be off.
+    f("EDGE_DOUBT", 1.0 / 4_194_304.0);
     let [a, b, c, d] = GAUSSIAN_7;
     out.push_str(&format!("const GAUSSIAN_7: array<f32, 4> = array<f32, 4>({a:e}, {b:e}, {c:e}, {d:e});\n"));
     out
@@ -116,14 +127,23 @@ pub fn stitch(pass: &str) -> String {
 
 /// [`stitch`] for a text that is not among the passes; `name` is its name in dumps.
 pub fn stitch_source(name: &str, source: &str) -> String {
-    let mut out = generated_constants();
-    let mut done = Vec::new();
-    append(source, &mut done, &mut out);
+    stitch_with(name, &generated_constants(), source, &|_| None)
+}
+
+/// [`stitch_source`] with other constants and with imports beside the shared ones.
+pub(crate) fn stitch_with<'a>(
+    name: &str,
+    constants: &str,
+    source: &'a str,
+    own: &dyn Fn(&str) -> Option<&'a str>,
+) -> String {
+    let mut out = constants.to_string();
+    append(source, own, &mut Vec::new(), &mut out);
     dump(name, &out);
     out
 }
 
-fn append(source: &str, done: &mut Vec<String>, out: &mut String) {
+fn append<'a>(source: &'a str, own: &dyn Fn(&str) -> Option<&'a str>, done: &mut Vec<String>, out: &mut String) {
     for line in source.lines() {
         let Some(import) = line.strip_prefix("#import ") else {
             out.push_str(line);
@@ -135,9 +155,9 @@ fn append(source: &str, done: &mut Vec<String>, out: &mut String) {
             continue;
         }
         done.push(import.to_string());
-        let (_, text) =
-            SHARED.iter().find(|(name, _)| *name == import).unwrap_or_else(|| panic!("there is no shader {import}"));
-        append(text, done, out);
+        let shared = || SHARED.iter().find(|(name, _)| *name == import).map(|(_, text)| *text);
+        let text = own(import).or_else(shared).unwrap_or_else(|| panic!("there is no shader {import}"));
+        append(text, own, done, out);
     }
 }
 
@@ -159,7 +179,7 @@ pub(crate) fn module(device: &wgpu::Device, pass: &str) -> wgpu::ShaderModule {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use super::*;
 
     pub fn validated(name: &str, text: &str) -> naga::Module {

@@ -19,6 +19,16 @@ pub enum InjectedFault {
     OutOfMemory,
 }
 
+/// Hits of a list of rays from the compute tracer.
+pub struct TracedHits {
+    /// One a ray.
+    pub hits: Vec<crate::accel::Hit>,
+    /// Rays whose walk met its cap.
+    pub capped: usize,
+    /// Milliseconds of the dispatch.
+    pub milliseconds: f64,
+}
+
 /// A device for evaluating shader functions.
 pub struct ShaderProbe {
     gpu: Gpu,
@@ -31,6 +41,20 @@ impl ShaderProbe {
     /// As [`super::GpuRaster::new`].
     pub fn new() -> Result<Self, RenderError> {
         Ok(Self { gpu: Gpu::open()? })
+    }
+
+    /// The compute tracer's closest hits of `rays` in `scene`, which `accel` follows.
+    ///
+    /// # Errors
+    /// [`RenderError::Unavailable`] where the scene is beyond the adapter; [`RenderError::Gpu`].
+    pub fn closest_hits(
+        &self,
+        scene: &catoptra_engine::RenderScene,
+        accel: &crate::accel::Accel,
+        rays: &[crate::accel::Ray],
+    ) -> Result<TracedHits, RenderError> {
+        let q = super::tracer::query::closest_hits(&self.gpu, scene, accel, rays)?;
+        Ok(TracedHits { hits: q.hits, capped: q.capped, milliseconds: q.milliseconds })
     }
 
     /// Evaluates WGSL statements once for each row of `inputs`.

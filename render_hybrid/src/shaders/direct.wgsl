@@ -37,22 +37,12 @@ fn moments_visibility(light: Light, point_world: vec3f) -> f32 {
         face = cube_face(point_world - light.position_world);
     }
     let view = views[light.first_view + face];
-    let c = shadow_project(view, point_world);
-    if !(c.in_front && all(c.uv >= vec2f(0.0)) && all(c.uv <= vec2f(1.0))) {
-        return 1.0;
-    }
-    var moments: vec4f;
+    let options =
+        vec3f(pass_uniform.min_variance, pass_uniform.light_bleed_reduction, f32(pass_uniform.evsm));
     if light.view_count == 6u {
-        moments = sample_moments(moment_faces, light.first_layer + face, view.size, c.uv);
-    } else {
-        moments = sample_moments(moment_maps, light.first_layer, view.size, c.uv);
+        return view_visibility(moment_faces, light.first_layer + face, view, point_world, options);
     }
-    if pass_uniform.evsm != 0u {
-        return evsm_visibility(
-            moments, c.depth, pass_uniform.min_variance, pass_uniform.light_bleed_reduction);
-    }
-    return chebyshev_upper_bound(
-        moments.xy, c.depth, pass_uniform.min_variance, pass_uniform.light_bleed_reduction);
+    return view_visibility(moment_maps, light.first_layer, view, point_world, options);
 }
 
 @vertex

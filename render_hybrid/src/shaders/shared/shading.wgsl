@@ -49,3 +49,14 @@ fn schlick(f0: vec3f, cos_i: f32) -> vec3f {
     let x2 = x * x;
     return f0 + (vec3f(1.0) - f0) * (x2 * x2 * x);
 }
+
+// Transmittance per channel after `travelled` metres: color^(travelled / attenuation_distance).
+fn beer_lambert(attenuation_color: vec3f, attenuation_distance: f32, travelled: f32) -> vec3f {
+    if attenuation_distance >= FAR_AWAY || travelled <= 0.0 {
+        return vec3f(1.0);
+    }
+    // 0 to a small power would be an infinite logarithm.
+    let x = min(travelled / attenuation_distance, 1e30);
+    let absorbed = pow(max(attenuation_color, vec3f(1e-30)), vec3f(x));
+    return select(absorbed, vec3f(1.0), attenuation_color >= vec3f(1.0));
+}

@@ -93,3 +93,17 @@ fn sample_moments(maps: texture_2d_array<f32>, layer: u32, size: u32, uv: vec2f)
     let b = m01 + (m11 - m01) * f.x;
     return a + (b - a) * f.y;
 }
+
+// Fraction of light that a view's moments let through to a point; 1 outside of the view.
+// * options: min_variance, light_bleed_reduction, and whether the map holds exponential warps
+fn view_visibility(maps: texture_2d_array<f32>, layer: u32, view: ShadowView, point_world: vec3f, options: vec3f) -> f32 {
+    let c = shadow_project(view, point_world);
+    if !(c.in_front && all(c.uv >= vec2f(0.0)) && all(c.uv <= vec2f(1.0))) {
+        return 1.0;
+    }
+    let moments = sample_moments(maps, layer, view.size, c.uv);
+    if options.z != 0.0 {
+        return evsm_visibility(moments, c.depth, options.x, options.y);
+    }
+    return chebyshev_upper_bound(moments.xy, c.depth, options.x, options.y);
+}

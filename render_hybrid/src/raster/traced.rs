@@ -1,0 +1,92 @@
+//! The lane's tracer: mirrors and glass of a frame without a read-back.
+
+use super::{GpuRaster, RasterInputs, TraceInputs, TracedRays, tracer::GpuTracer};
+use crate::{error::RenderError, settings::Tracer};
+
+impl GpuRaster {
+    /// Makes the tracer, or drops it (`Cpu`): its kernels are compiled here, not in a frame.
+    /// * `kd`: meshes will have kd-trees
+    ///
+    /// # Errors
+    /// [`RenderError::Unavailable`] with what the adapter lacks; [`RenderError::Gpu`].
+    pub fn set_tracer(&mut self, kind: Tracer, kd: bool) -> Result<(), RenderError> {
+        self.tracer = None;
+        if !matches!(kind, Tracer::Cpu | Tracer::Auto) {
+            let gpu = &self.gpu;
+            self.tracer = Some(gpu.scoped(|| GpuTracer::new(gpu, kind, kd))?);
+        }
+        Ok(())
+    }
+
+    /// The tracer that runs here; [`Tracer::Cpu`]: none.
+    pub fn tracer(&self) -> Tracer {
+        self.tracer.as_ref().map_or(Tracer::Cpu, |t| t.kind)
+    }
+
+    /// What keeps this device from running a tracer, in words; `None`: nothing.
+    pub fn tracer_missing(&self, kind: Tracer) -> Option<String> {
+        super::tracer::missing(kind, &self.gpu.device)
+    }
+
+    /// Sends what the tracer needs of the frame that was begun.
+    ///
+    /// # Errors
+    /// [`RenderError::Unavailable`] where the scene is beyond what the adapter binds, with figures; [`RenderError::Gpu`].
+    pub(crate) fn prepare_trace(&mut self, inputs: &RasterInputs) -> Result<(), RenderError> {
+        let moments = self.begun()?.moments;
+        self.step(|s| {
+            let Some(tracer) = &mut s.tracer else { return Err(RenderError::Gpu("no tracer was made".into())) };
+            let RasterInputs { scene, accel, settings, vpls, geometry_term_max } = *inputs;
+            let map_size = s.indirect.maps().1;
+            let plan = &s.plan;
+            let inputs = TraceInputs { scene, accel, settings, plan, moments, vpls, geometry_term_max, map_size };
+            tracer.prepare(&s.gpu, &inputs, s.scene.uniforms())
+        })
+    }
+
+    /// Submits the traced layer; after [`Self::prepare_trace`].
+    ///
+    /// # Errors
+    /// [`RenderError::Gpu`]
+    pub(crate) fn trace(&mut self) -> Result<(), RenderError> {
+        self.begun()?;
+        self.step(|s| {
+            let Self { tracer: Some(tracer), gpu, timer, picture, shadows, indirect, .. } = s else {
+                return Err(RenderError::Gpu("no tracer was made".into()));
+            };
+            let mut stage = timer.begin(gpu, "traced");
+            tracer.record(gpu, &mut stage.encoder, picture, shadows, indirect.maps().0);
+            timer.end(gpu, "traced", stage)
+        })
+    }
+
+    /// Submits final = direct + indirect + traced with the layer of [`Self::trace`].
+    ///
+    /// # Errors
+    /// [`RenderError::Gpu`]
+    pub(crate) fn compose_traced(&mut self) -> Result<(), RenderError> {
+        self.begun()?;
+        self.step(|s| {
+            let Some(bindings) = &s.bindings else { unreachable!("a frame was begun") };
+            let mut stage = s.timer.begin(&s.gpu, "compose");
+            s.compose.record_sum(&mut stage.encoder, &bindings.compose, &s.picture);
+            s.timer.end(&s.gpu, "compose", stage)
+        })
+    }
+
+    /// Number of masked pixels, and the tracer's rays where it counts them. Waits for the GPU.
+    ///
+    /// # Errors
+    /// [`RenderError::Gpu`]
+    pub(crate) fn read_trace_counts(&mut self) -> Result<(u64, Option<TracedRays>), RenderError> {
+        self.begun()?;
+        self.step(|s| {
+            let count = s.compact.read_count(&s.gpu, &mut s.readback, &s.picture)?;
+            let rays = match &s.tracer {
+                Some(tracer) => tracer.read_rays(&s.gpu, &mut s.readback)?,
+                None => None,
+            };
+            Ok((u64::from(count), rays))
+        })
+    }
+}
