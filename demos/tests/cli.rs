@@ -112,16 +112,44 @@ fn wrong_use_is_status_2() {
 
 #[test]
 fn what_this_version_lacks_is_said_and_never_replaced() {
-    for choice in
-        [&["--tracer", "gpu"][..], &["--tracer", "gpu-fragment"], &["--tracer", "rayquery"], &["--budget", "1000"]]
-    {
+    for choice in [&["--tracer", "gpu"][..], &["--tracer", "gpu-fragment"], &["--tracer", "rayquery"]] {
         let out = folder("lacks");
         let o = ["--out", text(&out)];
-        fails(&[&["render", "rolling-box"], choice, &o].concat(), 1, &choice.join(" ").replace(" 1000", ""));
+        fails(&[&["render", "rolling-box"], choice, &o].concat(), 1, &choice.join(" "));
         fails(&[&["bench", "rolling-box"], choice].concat(), 1, choice[0]);
         assert!(files(&out).is_empty());
     }
     fails(&["replay", "no-such-game.replay"], 1, "cannot be read");
+}
+
+#[test]
+fn a_budget_caps_rays_and_a_trace_tells_the_stages() {
+    let out = folder("budget");
+    let trace = out.join("trace.json");
+    let render = |budget: &str, threads: &str| {
+        let args =
+            ["render", "rolling-box-donut", "--frame", "30", "--size", "96x96", "--raster", "cpu", "--budget", budget];
+        let o = catoptra(&[&args[..], &["--threads", threads, "--out", text(&out), "--trace", text(&trace)]].concat());
+        assert!(o.status.success(), "{}", String::from_utf8_lossy(&o.stderr));
+        let stats: serde_json::Value =
+            serde_json::from_str(&std::fs::read_to_string(out.join("stats.json")).unwrap()).unwrap();
+        let rays = &stats["scenes"][0]["rays"];
+        let traced = ["reflection", "refraction", "shadow", "photon", "vpl_maps", "vpl"];
+        let sum: u64 = traced.iter().map(|k| rays[k].as_u64().unwrap()).sum();
+        (stats["scenes"][0]["per_frame"][0]["hash"].as_str().unwrap().to_string(), sum)
+    };
+    let (free, all) = render("1000000000", "2");
+    let (capped, few) = render("2000", "2");
+    assert!(all > 4000 && few <= 2000 && few > 500, "{all} and {few} rays");
+    assert_ne!(free, capped);
+    assert_eq!(render("2000", "1").0, capped, "a budget counts rays, not threads");
+    let text = std::fs::read_to_string(&trace).unwrap();
+    let file: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let names: Vec<&str> =
+        file["traceEvents"].as_array().unwrap().iter().map(|e| e["name"].as_str().unwrap()).collect();
+    for name in ["structures", "moments", "virtual lights", "band", "budgeted tracing"] {
+        assert!(names.contains(&name), "{name} is not in {names:?}");
+    }
 }
 
 #[test]

@@ -14,6 +14,7 @@ pub mod raster;
 mod renderer;
 pub mod settings;
 pub mod simd;
+mod still;
 pub mod trace;
 pub mod twin;
 

@@ -12,18 +12,28 @@ use crate::{
     raster::{GpuRaster, HostView, list_adapters},
     settings::{GlassShadows, RasterLane, RenderSettings, RendererOptions, SimdLevel},
     simd,
+    still::LitBy,
     trace::{
         explain::RayTree,
         photons::Photons,
+        points::Emitter,
         reference::{ReferenceAccumulator, ReferenceOptions},
         surface::NormalMatrices,
     },
-    twin::{interleave::Guide, shadow::ShadowMaps, tile::TileScratch, vpl::Vpl, vpl_maps::VplMaps},
+    twin::{
+        gbuffer::CameraScan,
+        interleave::Guide,
+        moments::MomentsScratch,
+        shadow::{ShadowMaps, ShadowPlan},
+        tile::TileScratch,
+        vpl::Vpl,
+        vpl_maps::VplMaps,
+    },
 };
 
 /// Makes pictures of scenes. Nothing is global: any number of renderers live side by side. `Send`.
 pub struct Renderer {
-    pub(crate) pool: rayon::ThreadPool,
+    pub(crate) pool: Arc<rayon::ThreadPool>,
     pub(crate) level: SimdLevel,
     pub(crate) state: FrameState,
     /// A fault of the GPU is answered by the CPU lane.
@@ -48,16 +58,24 @@ pub fn render_to_image(scene: &RenderScene, settings: &RenderSettings) -> Result
 
 /// What a frame works on and leaves for the next one. It speeds the next frame up and never changes it.
 pub(crate) struct FrameState {
+    /// Counts frames.
+    pub serial: u64,
     pub accel: Accel,
     pub normals: NormalMatrices,
     /// World, revision and meshes that the structure was last brought up to.
     pub followed: Option<(Arc<()>, u64, Vec<Arc<Mesh>>)>,
     pub maps: ShadowMaps,
-    pub blur_scratch: Vec<[f32; 4]>,
+    pub moments: MomentsScratch,
+    pub spare_plan: ShadowPlan,
+    /// What the VPLs were made of.
+    pub lit_by: LitBy,
     pub photons: Photons,
+    pub emitters: Vec<Emitter>,
     pub vpl_maps: VplMaps,
     /// The picture's guides where VPLs are interleaved.
     pub guides: Vec<Guide>,
+    /// The camera's triangles.
+    pub camera: CameraScan,
     /// One a thread.
     pub tiles: Vec<Mutex<TileScratch>>,
     /// `None` on the CPU lane.
@@ -97,19 +115,24 @@ impl Renderer {
         let threads = pool.current_num_threads();
         let accel = Accel::new(AccelOptions { blas: options.blas, simd: level, ..Default::default() })?;
         let state = FrameState {
+            serial: 0,
             accel,
             normals: NormalMatrices::default(),
             followed: None,
             maps: ShadowMaps::default(),
-            blur_scratch: Vec::new(),
+            moments: MomentsScratch::default(),
+            spare_plan: ShadowPlan::default(),
+            lit_by: LitBy::default(),
             photons: Photons::default(),
+            emitters: Vec::new(),
             vpl_maps: VplMaps::default(),
             guides: Vec::new(),
+            camera: CameraScan::default(),
             tiles: (0..threads).map(|_| Mutex::default()).collect(),
             gpu,
         };
         let automatic = options.raster == RasterLane::Auto;
-        Ok(Self { pool, level, state, automatic, fault: None, host: None, host_view: None })
+        Ok(Self { pool: Arc::new(pool), level, state, automatic, fault: None, host: None, host_view: None })
     }
 
     /// A renderer on a device of the host's, whose handles are cheap clones: its views can be drawn into with
@@ -145,16 +168,44 @@ impl Renderer {
     /// [`RenderError::Settings`] and [`RenderError::Scene`] for what cannot be drawn; [`RenderError::Gpu`] where the GPU lane
     /// was chosen explicitly and failed.
     pub fn render(&mut self, scene: &RenderScene, settings: &RenderSettings) -> Result<Frame, RenderError> {
-        self.frame(scene, settings, true)
+        let mut frame = Frame::default();
+        self.frame(scene, settings, true, &mut frame)?;
+        Ok(frame)
     }
 
-    fn frame(&mut self, scene: &RenderScene, settings: &RenderSettings, read_back: bool) -> Result<Frame, RenderError> {
+    /// As [`Self::render`] into a frame made before, whose memory is used again: on the CPU lane frame after frame of one size
+    /// then allocates nothing ([`Self::run`]). After an error the frame's content is undefined.
+    ///
+    /// # Errors
+    /// As [`Self::render`].
+    pub fn render_into(
+        &mut self,
+        scene: &RenderScene,
+        settings: &RenderSettings,
+        frame: &mut Frame,
+    ) -> Result<(), RenderError> {
+        self.frame(scene, settings, true, frame)
+    }
+
+    /// Calls `f` on one of the renderer's own threads, where frames need no hand-over between threads.
+    pub fn run<R: Send>(&mut self, f: impl FnOnce(&mut Self) -> R + Send) -> R {
+        let pool = self.pool.clone();
+        pool.install(|| f(self))
+    }
+
+    fn frame(
+        &mut self,
+        scene: &RenderScene,
+        settings: &RenderSettings,
+        read_back: bool,
+        frame: &mut Frame,
+    ) -> Result<(), RenderError> {
         let (level, state) = (self.level, &mut self.state);
-        match self.pool.install(|| frame::render_frame(state, level, scene, settings, read_back)) {
+        match self.pool.install(|| frame::render_frame(state, level, scene, settings, read_back, frame)) {
             Err(RenderError::Gpu(why)) if self.automatic => {
                 self.give_up_gpu(why);
                 let state = &mut self.state;
-                self.pool.install(|| frame::render_frame(state, level, scene, settings, read_back))
+                self.pool.install(|| frame::render_frame(state, level, scene, settings, read_back, frame))
             }
             made => made,
         }
@@ -197,12 +248,13 @@ impl Renderer {
                 missing: "a device: make the renderer with Renderer::with_device".into(),
             });
         }
-        let mut frame = self.frame(scene, settings, false)?;
+        let mut frame = Frame::default();
+        self.frame(scene, settings, false, &mut frame)?;
         if let Some(gpu) = &mut self.state.gpu {
             match gpu.present(view, format, exposure_ev) {
                 Err(RenderError::Gpu(why)) if self.automatic => {
                     self.give_up_gpu(why);
-                    frame = self.frame(scene, settings, false)?;
+                    self.frame(scene, settings, false, &mut frame)?;
                 }
                 presented => return presented.map(|()| frame.stats),
             }
@@ -273,7 +325,7 @@ impl Renderer {
     }
     /// Adapter (GPU lane) or SIMD level (CPU lane).
     pub fn device(&self) -> String {
-        device_name(&self.state, self.level)
+        device_name(&self.state, self.level).to_string()
     }
     /// The SIMD level that runs; never `Auto`.
     pub fn simd_level(&self) -> SimdLevel {
@@ -293,10 +345,10 @@ impl Renderer {
     }
 }
 
-pub(crate) fn device_name(state: &FrameState, level: SimdLevel) -> String {
+pub(crate) fn device_name(state: &FrameState, level: SimdLevel) -> &str {
     match &state.gpu {
-        Some(gpu) => gpu.adapter().name.clone(),
-        None => simd::level_name(level).to_string(),
+        Some(gpu) => &gpu.adapter().name,
+        None => simd::level_name(level),
     }
 }
 
