@@ -19,21 +19,24 @@ use crate::{
     renderer::{FrameState, device_name, update_structures},
     settings::{RasterLane, RenderSettings, Shadows, SimdLevel, Tracer, VplShadows},
     trace::{
+        budget,
         camera_rays::{self, TracedLight},
         explain::{self, RayTree},
+        points::Emitter,
         shade::FrameContext,
         whitted::{self, MaskedPixel},
     },
     twin::{
+        gbuffer::{CameraScan, Eye},
         interleave::{self, Guide},
         moments::render_moments,
         shadow::ShadowPlan,
-        tile::{GBufferPixel, TileRect, TileScratch, TileStats, render_tile},
+        tile::{TileRect, TileScratch, TileStats, render_tile},
         vpl_maps::VplMaps,
     },
 };
 
-/// Makes one frame on the current rayon pool.
+/// Makes one frame on the current rayon pool, into `frame`, whose memory is used again.
 /// * `read_back`: a picture that the GPU made is wanted in memory; else it stays on the GPU and the frame's image is empty
 pub(crate) fn render_frame(
     state: &mut FrameState,
@@ -41,27 +44,34 @@ pub(crate) fn render_frame(
     scene: &RenderScene,
     settings: &RenderSettings,
     read_back: bool,
-) -> Result<Frame, RenderError> {
+    frame: &mut Frame,
+) -> Result<(), RenderError> {
     if let Some(what) = settings.invalid() {
         return Err(RenderError::Settings(what));
     }
     scene.validate()?;
     let start = Instant::now();
-    let mut frame = Frame::default();
-    frame.stats.device = device_name(state, level);
+    state.serial += 1;
+    // Memory of the frame before is used again.
+    let mut device = std::mem::take(&mut frame.stats.device);
+    device.clear();
+    device.push_str(device_name(state, level));
+    frame.stats = FrameStats { device, ..FrameStats::default() };
+    frame.layers.clear();
     match state.gpu.take() {
         None => {
-            frame.image = Image::new(settings.width, settings.height);
-            cpu_frame(state, level, scene, settings, &mut frame);
+            frame.image.resize(settings.width, settings.height);
+            cpu_frame(state, level, scene, settings, frame);
         }
         Some(mut gpu) => {
-            let made = gpu_frame(state, &mut gpu, level, scene, settings, read_back, &mut frame);
+            frame.image = Image::default();
+            let made = gpu_frame(state, &mut gpu, level, scene, settings, read_back, frame);
             state.gpu = Some(gpu);
             made?;
         }
     }
     frame.stats.stages_ms.total = milliseconds(start);
-    Ok(frame)
+    Ok(())
 }
 
 /// Every stage on the CPU.
@@ -97,6 +107,7 @@ pub(crate) fn explain_pixel(
         )));
     }
     scene.validate()?;
+    state.serial += 1;
     let mut stats = FrameStats::default();
     structures(state, scene, settings, &mut stats);
     moments(state, level, scene, settings, &mut stats);
@@ -167,6 +178,7 @@ fn gpu_frame(
     if settings.traced && !masked.is_empty() && settings.shadows == Shadows::Moments {
         state.maps.plan = plan;
         state.maps.maps = gpu.read_moments()?;
+        state.moments.forget();
     }
     frame.stats.stages_ms.transfer += milliseconds(start);
 
@@ -267,6 +279,7 @@ fn finish_gpu_frame(
 
 /// Two-level structure and normal matrices.
 fn structures(state: &mut FrameState, scene: &RenderScene, settings: &RenderSettings, stats: &mut FrameStats) {
+    let _span = tracing::info_span!("structures").entered();
     let start = Instant::now();
     let update = update_structures(state, scene, settings.glass_shadows);
     stats.blas_builds = update.blas_builds;
@@ -292,26 +305,42 @@ fn moments(
     settings: &RenderSettings,
     stats: &mut FrameStats,
 ) {
+    let _span = tracing::info_span!("moments").entered();
     let start = Instant::now();
-    let plan = shadow_plan(scene, settings);
-    let (maps, scratch) = (&mut state.maps, &mut state.blur_scratch);
-    stats.rays.moments = render_moments(maps, scratch, plan, scene, &state.accel, settings, level);
+    if settings.shadows != Shadows::Moments && settings.shadows != Shadows::Certified {
+        state.maps.plan = ShadowPlan::default();
+        return;
+    }
+    let mut plan = std::mem::take(&mut state.spare_plan);
+    plan.update(&scene.lights, scene.bounds_world(), &settings.moments);
+    let (maps, scratch) = (&mut state.maps, &mut state.moments);
+    stats.rays.moments = render_moments(maps, scratch, &mut plan, scene, &state.accel, settings, level);
+    state.spare_plan = plan;
     stats.stages_ms.moments = milliseconds(start);
 }
 
 /// Photons from the lights become VPLs; then the VPLs' shadow maps.
 fn virtual_lights(state: &mut FrameState, scene: &RenderScene, settings: &RenderSettings, stats: &mut FrameStats) {
+    let _span = tracing::info_span!("virtual lights").entered();
     let start = Instant::now();
-    state.photons.vpls.clear();
-    state.vpl_maps.clear();
     if let Some(vpl) = &settings.vpl {
-        state.photons.trace(scene, &state.normals, &state.accel, vpl, settings.seed);
-        stats.rays.photon = state.photons.rays;
-        // In runs of subsets; full evaluation then merely sums in another order.
-        interleave::group_subsets(&mut state.photons.vpls, vpl.interleave * vpl.interleave);
-        let size = if vpl.shadows == VplShadows::Maps { vpl.map_size } else { 0 };
-        let (maps, accel) = (&mut state.vpl_maps, &state.accel);
-        stats.rays.vpl_maps = maps.render(&state.photons.vpls, size, scene, accel, settings.glass_shadows);
+        // Light that nothing has touched since is the same light.
+        if !state.lit_by.update(scene, settings) {
+            state.photons.trace(scene, &state.normals, &state.accel, vpl, settings.seed);
+            stats.rays.photon = state.photons.rays;
+            // In runs of subsets; full evaluation then merely sums in another order.
+            interleave::group_subsets(&mut state.photons.vpls, vpl.interleave * vpl.interleave);
+            state.emitters.clear();
+            state.emitters.extend(state.photons.vpls.iter().map(Emitter::from));
+            let size = if vpl.shadows == VplShadows::Maps { vpl.map_size } else { 0 };
+            let (maps, accel) = (&mut state.vpl_maps, &state.accel);
+            stats.rays.vpl_maps = maps.render(&state.photons.vpls, size, scene, accel, settings.glass_shadows);
+        }
+    } else {
+        state.lit_by.forget();
+        state.photons.vpls.clear();
+        state.emitters.clear();
+        state.vpl_maps.clear();
     }
     stats.vpls = state.photons.vpls.len() as u32;
     stats.stages_ms.vpls = milliseconds(start);
@@ -336,10 +365,12 @@ fn context<'a>(
         accel: &state.accel,
         maps: &state.maps,
         vpls: &state.photons.vpls,
+        emitters: &state.emitters,
         vpl_maps: &state.vpl_maps,
         geometry_term_max: geometry_term_max(scene, settings),
         settings,
         level,
+        serial: state.serial,
     }
 }
 
@@ -347,6 +378,10 @@ fn context<'a>(
 fn pixels(state: &mut FrameState, level: SimdLevel, scene: &RenderScene, settings: &RenderSettings, frame: &mut Frame) {
     let start = Instant::now();
     let interleaved = settings.vpl.map_or(1, |v| v.interleave);
+    let _span = tracing::info_span!("pixels").entered();
+    state.camera.build(scene, &state.accel, [settings.width, settings.height]);
+    let setup = milliseconds(start);
+    let start = Instant::now();
     let mut guides = std::mem::take(&mut state.guides);
     guides.resize(if interleaved > 1 { frame.image.pixels.len() } else { 0 }, Guide::default());
     let ctx = context(state, level, scene, settings);
@@ -357,39 +392,64 @@ fn pixels(state: &mut FrameState, level: SimdLevel, scene: &RenderScene, setting
         Vec::new()
     };
     let band_pixels = (width * tile) as usize;
-    // One list of row bands a picture, regrouped so that each task owns the same band of all of them.
-    let mut bands: Vec<Band> = frame
-        .image
-        .pixels
-        .chunks_mut(band_pixels)
-        .enumerate()
-        .map(|(i, image)| Band { y: i as u32 * tile, image, guides: &mut [], layers: Vec::new() })
-        .collect();
-    for layer in &mut layers {
-        for (band, pixels) in bands.iter_mut().zip(layer.pixels.chunks_mut(band_pixels)) {
-            band.layers.push(pixels);
+    let merge = |a: (TileStats, NonFinite), b: (TileStats, NonFinite)| (a.0.merged(b.0), merge_non_finite(a.1, b.1));
+    // Pixels that are traced together in the end, in the order that threads found them: it does not show.
+    let later = std::sync::Mutex::new(Vec::new());
+    let make = |band: Band| render_band(&ctx, &state.camera, &state.tiles, &later, band);
+    let bands = frame.image.pixels.par_chunks_mut(band_pixels).enumerate().with_max_len(1);
+    let (mut stats, mut non_finite) = if layers.is_empty() && guides.is_empty() {
+        bands
+            .map(|(i, image)| make(Band { y: i as u32 * tile, image, guides: &mut [], layers: Vec::new() }))
+            .reduce(Default::default, merge)
+    } else {
+        // One list of row bands a picture, regrouped so that each task owns the same band of all of them.
+        let mut bands: Vec<Band> =
+            bands.map(|(i, image)| Band { y: i as u32 * tile, image, guides: &mut [], layers: Vec::new() }).collect();
+        for layer in &mut layers {
+            for (band, pixels) in bands.iter_mut().zip(layer.pixels.chunks_mut(band_pixels)) {
+                band.layers.push(pixels);
+            }
         }
-    }
-    for (band, guides) in bands.iter_mut().zip(guides.chunks_mut(band_pixels)) {
-        band.guides = guides;
-    }
-    let (mut stats, mut non_finite) = bands
-        .into_par_iter()
-        .with_max_len(1)
-        .map(|band| render_band(&ctx, &state.tiles, band))
-        .reduce(Default::default, |a, b| (a.0.merged(b.0), merge_non_finite(a.1, b.1)));
+        for (band, guides) in bands.iter_mut().zip(guides.chunks_mut(band_pixels)) {
+            band.guides = guides;
+        }
+        bands.into_par_iter().with_max_len(1).map(make).reduce(Default::default, merge)
+    };
     if interleaved > 1 {
         let indirect = layers.get_mut(INDIRECT).map(|l| &mut l.pixels);
         let filtered = filter_indirect(&guides, interleaved, &mut frame.image, indirect);
         stats.nanos[2] += filtered.0;
         non_finite = merge_non_finite(non_finite, filtered.1);
     }
+    if let Some(budget) = settings.ray_budget {
+        let _span = tracing::info_span!("budgeted tracing").entered();
+        let start = Instant::now();
+        let pixels = later.into_inner().unwrap_or_else(std::sync::PoisonError::into_inner);
+        let left = budget.saturating_sub(frame.stats.rays.total() + stats.rays.total());
+        let radiance = budget::trace(&ctx, &pixels, left, &mut stats.rays);
+        for (p, traced) in pixels.iter().zip(radiance) {
+            let at = p.pixel as usize;
+            let sum = Vec3::from(frame.image.pixels[at]) + traced;
+            if sum.is_finite() {
+                frame.image.pixels[at] = sum.to_array();
+            } else {
+                frame.image.pixels[at] = [0.0; 3];
+                non_finite = merge_non_finite(non_finite, (1, Some((p.pixel % width, p.pixel / width))));
+            }
+            if let Some(layer) = layers.get_mut(TRACED) {
+                layer.pixels[at] = traced.to_array();
+            }
+        }
+        // All threads work on it.
+        stats.nanos[3] += start.elapsed().as_nanos() as u64 * state.tiles.len() as u64;
+    }
+    share_memory(&state.tiles);
     let wall = milliseconds(start);
     let total: u64 = stats.nanos.iter().sum();
     let share = |stage: usize| wall * stats.nanos[stage] as f64 / total.max(1) as f64;
     let s = &mut frame.stats;
     s.stages_ms = StageTimes {
-        gbuffer: share(0),
+        gbuffer: setup + share(0),
         direct: share(1),
         indirect: share(2),
         traced: share(3),
@@ -399,11 +459,21 @@ fn pixels(state: &mut FrameState, level: SimdLevel, scene: &RenderScene, setting
     s.rays = s.rays.merged(stats.rays);
     s.masked_pixels = stats.masked;
     s.non_finite = non_finite;
-    frame.layers = KEPT.into_iter().zip(layers).collect();
+    frame.layers.extend(KEPT.into_iter().zip(layers));
     state.guides = guides;
     if settings.keep_layers {
         frame.layers.push((Layer::Moments, moments_image(state)));
     }
+}
+
+/// Gives every thread the room that one of them needed: which gets which tile is chance, memory for it must not be.
+fn share_memory(scratches: &[std::sync::Mutex<TileScratch>]) {
+    let all = || scratches.iter().map(|s| s.lock().unwrap_or_else(std::sync::PoisonError::into_inner));
+    let most = all().fold([0; 7], |m, s| {
+        let own = s.capacity();
+        std::array::from_fn(|i| m[i].max(own[i]))
+    });
+    all().for_each(|mut s| s.reserve(most));
 }
 
 /// Layers that the CPU lane writes tile by tile.
@@ -412,6 +482,8 @@ const KEPT: [Layer; 7] =
 
 /// Place of the indirect layer among them.
 const INDIRECT: usize = 1;
+/// Place of the traced layer.
+const TRACED: usize = 2;
 
 /// Adds the filtered indirect light of interleaved VPLs to the picture and its layer. Returns thread time in nanoseconds and
 /// the pixels that are not finite.
@@ -464,9 +536,12 @@ fn merge_non_finite(a: NonFinite, b: NonFinite) -> NonFinite {
 
 fn render_band(
     ctx: &FrameContext,
+    scan: &CameraScan,
     scratches: &[std::sync::Mutex<TileScratch>],
+    later: &std::sync::Mutex<Vec<MaskedPixel>>,
     mut band: Band,
 ) -> (TileStats, NonFinite) {
+    let _span = tracing::info_span!("band").entered();
     let (width, tile) = (ctx.settings.width, ctx.settings.tile);
     let rows = band.image.len() as u32 / width;
     // Each worker has its own scratch, so the lock is free but for threads outside the pool, which share the first.
@@ -474,24 +549,35 @@ fn render_band(
     let mut scratch = scratches[own].lock().unwrap_or_else(std::sync::PoisonError::into_inner);
     let mut stats = TileStats::default();
     let mut non_finite = NonFinite::default();
+    let eye = Eye::of(&ctx.scene.camera, width, ctx.settings.height);
+    let start = Instant::now();
+    scan.list.of_rows(band.y, band.y + rows - 1, &mut scratch.band);
+    stats.nanos[0] += start.elapsed().as_nanos() as u64;
     for x in (0..width).step_by(tile as usize) {
         let rect = TileRect { x, y: band.y, width: tile.min(width - x), height: rows };
-        stats = stats.merged(render_tile(ctx, rect, &mut scratch));
+        stats = stats.merged(render_tile(ctx, scan, rect, &mut scratch));
+        if ctx.settings.ray_budget.is_some() {
+            later.lock().unwrap_or_else(std::sync::PoisonError::into_inner).extend_from_slice(&scratch.masked);
+        }
         let start = Instant::now();
-        for (i, g) in scratch.gbuffer.iter().enumerate() {
-            let at = (g.pixel - band.y * width) as usize;
-            let radiance = scratch.direct[i] + scratch.indirect[i] + scratch.traced[i];
-            if radiance.is_finite() {
-                band.image[at] = radiance.to_array();
-            } else {
-                band.image[at] = [0.0; 3];
-                non_finite = merge_non_finite(non_finite, (1, Some((g.pixel % width, g.pixel / width))));
+        for y in 0..rows {
+            let first = scratch.gbuffer.index(rect.x, rect.y + y);
+            let at = (y * width + x) as usize;
+            let pixels = &mut band.image[at..at + rect.width as usize];
+            if !scratch.compose(ctx.level, first, pixels) {
+                for (dx, p) in pixels.iter_mut().enumerate().filter(|(_, p)| !p.iter().all(|v| v.is_finite())) {
+                    *p = [0.0; 3];
+                    non_finite = merge_non_finite(non_finite, (1, Some((x + dx as u32, rect.y + y))));
+                }
             }
             if !band.guides.is_empty() {
-                band.guides[at] = scratch.guides[i];
+                band.guides[at..at + rect.width as usize]
+                    .copy_from_slice(&scratch.guides[first..first + rect.width as usize]);
             }
             for (layer, out) in KEPT.iter().zip(&mut band.layers) {
-                out[at] = layer_value(*layer, g, &scratch, i).to_array();
+                for (dx, out) in out[at..at + rect.width as usize].iter_mut().enumerate() {
+                    *out = layer_value(ctx, scan, &eye, *layer, &mut scratch, first + dx).to_array();
+                }
             }
         }
         stats.nanos[4] += start.elapsed().as_nanos() as u64;
@@ -499,18 +585,28 @@ fn render_band(
     (stats, non_finite)
 }
 
-fn layer_value(layer: Layer, g: &GBufferPixel, scratch: &TileScratch, i: usize) -> Vec3 {
-    let Some(s) = &g.surface else {
-        return if layer == Layer::Direct { scratch.direct[i] } else { Vec3::ZERO };
-    };
+fn layer_value(
+    ctx: &FrameContext,
+    scan: &CameraScan,
+    eye: &Eye,
+    layer: Layer,
+    scratch: &mut TileScratch,
+    i: usize,
+) -> Vec3 {
+    let (g, points) = (&mut scratch.gbuffer, |s: &TileScratch| s.gbuffer.points.radiance(i));
+    if g.instance(ctx, scan, i).is_none() {
+        return if layer == Layer::Direct { points(scratch) } else { Vec3::ZERO };
+    }
     match layer {
-        Layer::Direct => scratch.direct[i],
-        Layer::Indirect => scratch.indirect[i],
-        Layer::Traced => scratch.traced[i],
-        Layer::Mask => Vec3::new(s.look.mirror, (1.0 - s.look.mirror) * s.look.transmission, 0.0),
-        Layer::Depth => Vec3::splat(g.depth),
-        Layer::Normal => s.n_shading * 0.5 + 0.5,
-        Layer::Albedo => s.base_color,
+        Layer::Direct => points(scratch),
+        Layer::Indirect => g.points.albedo(i) * g.points.irradiance(i),
+        Layer::Traced => scratch.traced.get(i).copied().unwrap_or(Vec3::ZERO),
+        Layer::Mask => g
+            .surface(ctx, scan, eye, i)
+            .map_or(Vec3::ZERO, |(s, _)| Vec3::new(s.look.mirror, (1.0 - s.look.mirror) * s.look.transmission, 0.0)),
+        Layer::Depth => Vec3::splat(g.depth(scan, i)),
+        Layer::Normal => g.points.normal(i) * 0.5 + 0.5,
+        Layer::Albedo => g.points.base_color(i),
         Layer::Final | Layer::Moments => Vec3::ZERO,
     }
 }
@@ -534,6 +630,12 @@ fn trace_masked(
     stats: &mut FrameStats,
 ) -> Vec<(u32, [f32; 3])> {
     let ctx = context(state, level, scene, settings);
+    if let Some(budget) = settings.ray_budget {
+        let pixels = camera_rays::masked_pixels(&ctx, masked, &mut stats.rays);
+        let left = budget.saturating_sub(stats.rays.total());
+        let radiance = budget::trace(&ctx, &pixels, left, &mut stats.rays);
+        return pixels.iter().zip(radiance).map(|(p, r)| (p.pixel, r.to_array())).collect();
+    }
     let chunk = (settings.tile * settings.tile) as usize;
     let (lists, counts): (Vec<Vec<(u32, [f32; 3])>>, Vec<_>) = masked
         .par_chunks(chunk)

@@ -58,16 +58,18 @@ pub fn srgb8_from_linear(x: f32) -> u8 {
 }
 
 struct SrgbTable {
-    /// `step[v]`: least x whose byte is at least v.
-    step: [f32; 256],
-    /// Byte at the low end of each bucket of the upper 16 bits of x, for x in [2^-13, 1).
+    /// `step[v]`: least x whose byte is at least v; beyond 255 none.
+    step: [f32; 257],
+    /// Byte at the low end of each bucket of the upper 19 bits of x, for x in [2^-13, 1). A bucket holds one step at most.
     start: [u8; Self::BUCKETS],
 }
 
 impl SrgbTable {
-    /// 2^-13 as bits >> 16; below it every byte is 0.
-    const FIRST: u32 = (127 - 13) << 7;
-    const BUCKETS: usize = 13 << 7;
+    /// Low bits of x that a bucket does not tell.
+    const SHIFT: u32 = 13;
+    /// 2^-13 in buckets; below it every byte is 0.
+    const FIRST: u32 = ((127 - 13) << 23) >> Self::SHIFT;
+    const BUCKETS: usize = (13 << 23) >> Self::SHIFT;
 
     fn get() -> &'static Self {
         static TABLE: OnceLock<SrgbTable> = OnceLock::new();
@@ -75,8 +77,8 @@ impl SrgbTable {
     }
 
     fn new() -> Self {
-        let mut step = [0.0; 256];
-        for (v, step) in step.iter_mut().enumerate().skip(1) {
+        let mut step = [f32::INFINITY; 257];
+        for (v, step) in step[..256].iter_mut().enumerate().skip(1) {
             // Bisect over the bits: positive floats are ordered as their bits are.
             let (mut low, mut high) = (0u32, 1.0f32.to_bits());
             while low + 1 < high {
@@ -91,24 +93,20 @@ impl SrgbTable {
         }
         let mut start = [0; Self::BUCKETS];
         for (i, s) in start.iter_mut().enumerate() {
-            *s = byte_by_formula(f32::from_bits((Self::FIRST + i as u32) << 16));
+            *s = byte_by_formula(f32::from_bits((Self::FIRST + i as u32) << Self::SHIFT));
         }
         Self { step, start }
     }
 
-    #[inline]
+    #[inline(always)]
     fn byte(&self, x: f32) -> u8 {
-        if x.is_nan() || x < f32::from_bits(Self::FIRST << 16) {
-            return 0;
-        }
-        if x >= 1.0 {
-            return 255;
-        }
-        let mut v = self.start[(x.to_bits() >> 16) as usize - Self::FIRST as usize];
-        while v < 255 && x >= self.step[v as usize + 1] {
-            v += 1;
-        }
-        v
+        // The last number below 1 has the byte of 1; NaN and what is too dark have that of 0.
+        const LEAST: f32 = 1.0 / 8192.0;
+        const MOST: f32 = 1.0 - f32::EPSILON / 2.0;
+        let x = if x > LEAST { x } else { LEAST };
+        let x = if x < MOST { x } else { MOST };
+        let v = self.start[(x.to_bits() >> Self::SHIFT) as usize - Self::FIRST as usize];
+        v + u8::from(x >= self.step[v as usize + 1])
     }
 }
 
@@ -118,17 +116,21 @@ fn byte_by_formula(x: f32) -> u8 {
 
 /// sRGB bytes of linear radiance, `[height][width][3]`: radiance × 2^`exposure_ev`, clamped to [0, 1], sRGB curve.
 pub fn srgb8_from_image(image: &Image, exposure_ev: f32) -> Vec<u8> {
+    let mut bytes = Vec::new();
+    srgb8_into(image, exposure_ev, &mut bytes);
+    bytes
+}
+
+/// As [`srgb8_from_image`] into memory of the caller's, which is kept where it is large enough.
+pub fn srgb8_into(image: &Image, exposure_ev: f32, bytes: &mut Vec<u8>) {
     let scale = math::exp2(exposure_ev);
     let table = SrgbTable::get();
-    let mut bytes = vec![0; image.pixels.len() * 3];
-    bytes.par_chunks_mut(3 * 4096).zip(image.pixels.par_chunks(4096)).for_each(|(to, from)| {
-        for (t, p) in to.chunks_exact_mut(3).zip(from) {
-            for (t, v) in t.iter_mut().zip(p) {
-                *t = table.byte(v * scale);
-            }
+    bytes.resize(image.pixels.len() * 3, 0);
+    bytes.par_chunks_mut(3 * 8192).zip(image.pixels.par_chunks(8192)).for_each(|(to, from)| {
+        for (t, v) in to.iter_mut().zip(from.as_flattened()) {
+            *t = table.byte(v * scale);
         }
     });
-    bytes
 }
 
 /// sRGB bytes of a layer, as its PNG shows it.

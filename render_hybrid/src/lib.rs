@@ -14,6 +14,7 @@ pub mod raster;
 mod renderer;
 pub mod settings;
 pub mod simd;
+mod still;
 pub mod trace;
 mod tracer_choice;
 pub mod twin;

@@ -19,6 +19,12 @@ impl Image {
         Self { width, height, pixels: vec![[0.0; 3]; width as usize * height as usize] }
     }
 
+    /// Gives the picture another size; what it shows then is undefined. Memory is kept.
+    pub fn resize(&mut self, width: u32, height: u32) {
+        (self.width, self.height) = (width, height);
+        self.pixels.resize(width as usize * height as usize, [0.0; 3]);
+    }
+
     /// Pixel at column `x` of row `y`.
     pub fn at(&self, x: u32, y: u32) -> [f32; 3] {
         self.pixels[(y * self.width + x) as usize]
@@ -102,9 +108,9 @@ impl Frame {
 /// Rays by kind.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct RayCounts {
-    /// Primary visibility.
+    /// Pixels whose surface was found: by scan conversion on the CPU lane, by rays where the GPU lane's mask is traced.
     pub camera: u64,
-    /// From the lights' shadow maps (CPU lane).
+    /// Texels of the lights' shadow maps that were made (CPU lane); 0 where those of the frame before still hold.
     pub moments: u64,
     /// Mirror and Fresnel reflection.
     pub reflection: u64,
@@ -121,6 +127,11 @@ pub struct RayCounts {
 }
 
 impl RayCounts {
+    /// Rays that were traced: all but pixels and texels, which are scan-converted.
+    pub fn total(self) -> u64 {
+        self.reflection + self.refraction + self.shadow + self.photon + self.vpl_maps + self.vpl
+    }
+
     /// Sum of both.
     pub fn merged(self, o: Self) -> Self {
         Self {

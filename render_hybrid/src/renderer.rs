@@ -12,19 +12,29 @@ use crate::{
     raster::{GpuRaster, HostView, list_adapters},
     settings::{BlasKind, GlassShadows, RasterLane, RenderSettings, RendererOptions, SimdLevel, Tracer},
     simd,
+    still::LitBy,
     trace::{
         explain::RayTree,
         photons::Photons,
+        points::Emitter,
         reference::{ReferenceAccumulator, ReferenceOptions},
         surface::NormalMatrices,
     },
     tracer_choice::{self, Memory, TracerChoice},
-    twin::{interleave::Guide, shadow::ShadowMaps, tile::TileScratch, vpl::Vpl, vpl_maps::VplMaps},
+    twin::{
+        gbuffer::CameraScan,
+        interleave::Guide,
+        moments::MomentsScratch,
+        shadow::{ShadowMaps, ShadowPlan},
+        tile::TileScratch,
+        vpl::Vpl,
+        vpl_maps::VplMaps,
+    },
 };
 
 /// Makes pictures of scenes. Nothing is global: any number of renderers live side by side. `Send`.
 pub struct Renderer {
-    pub(crate) pool: rayon::ThreadPool,
+    pub(crate) pool: Arc<rayon::ThreadPool>,
     pub(crate) level: SimdLevel,
     pub(crate) state: FrameState,
     /// A fault of the GPU is answered by the CPU lane.
@@ -50,16 +60,24 @@ pub fn render_to_image(scene: &RenderScene, settings: &RenderSettings) -> Result
 
 /// What a frame works on and leaves for the next one. It speeds the next frame up and never changes it.
 pub(crate) struct FrameState {
+    /// Counts frames.
+    pub serial: u64,
     pub accel: Accel,
     pub normals: NormalMatrices,
     /// World, revision and meshes that the structure was last brought up to.
     pub followed: Option<(Arc<()>, u64, Vec<Arc<Mesh>>)>,
     pub maps: ShadowMaps,
-    pub blur_scratch: Vec<[f32; 4]>,
+    pub moments: MomentsScratch,
+    pub spare_plan: ShadowPlan,
+    /// What the VPLs were made of.
+    pub lit_by: LitBy,
     pub photons: Photons,
+    pub emitters: Vec<Emitter>,
     pub vpl_maps: VplMaps,
     /// The picture's guides where VPLs are interleaved.
     pub guides: Vec<Guide>,
+    /// The camera's triangles.
+    pub camera: CameraScan,
     /// One a thread.
     pub tiles: Vec<Mutex<TileScratch>>,
     /// `None` on the CPU lane.
@@ -105,14 +123,19 @@ impl Renderer {
         let threads = pool.current_num_threads();
         let accel = Accel::new(AccelOptions { blas: options.blas, simd: level, ..Default::default() })?;
         let state = FrameState {
+            serial: 0,
             accel,
             normals: NormalMatrices::default(),
             followed: None,
             maps: ShadowMaps::default(),
-            blur_scratch: Vec::new(),
+            moments: MomentsScratch::default(),
+            spare_plan: ShadowPlan::default(),
+            lit_by: LitBy::default(),
             photons: Photons::default(),
+            emitters: Vec::new(),
             vpl_maps: VplMaps::default(),
             guides: Vec::new(),
+            camera: CameraScan::default(),
             tiles: (0..threads).map(|_| Mutex::default()).collect(),
             gpu,
             automatic_tracer: options.tracer == Tracer::Auto,
@@ -121,7 +144,8 @@ impl Renderer {
         // What was asked for by name does not fall back.
         let automatic = options.raster == RasterLane::Auto && matches!(options.tracer, Tracer::Auto | Tracer::Cpu);
         let tracer = TracerChoice::new(Tracer::Cpu, "chosen");
-        let mut renderer = Self { pool, level, state, automatic, tracer, fault: None, host: None, host_view: None };
+        let mut renderer =
+            Self { pool: Arc::new(pool), level, state, automatic, tracer, fault: None, host: None, host_view: None };
         renderer.choose_tracer(options)?;
         Ok(renderer)
     }
@@ -181,7 +205,7 @@ impl Renderer {
         let (scene, settings) = (tracer_choice::measured_scene(), tracer_choice::measured_settings());
         let before = self.state.gpu.as_ref().map_or(Tracer::Cpu, GpuRaster::tracer);
         let kd = blas == BlasKind::KdTree;
-        let mut measured = Vec::new();
+        let (mut measured, mut made) = (Vec::new(), Frame::default());
         for tracer in Tracer::ALL {
             if !self.take_tracer(tracer, kd) {
                 continue;
@@ -189,10 +213,10 @@ impl Renderer {
             let mut best = f64::INFINITY;
             for frame in 0..tracer_choice::MEASURED_FRAMES {
                 let (level, state) = (self.level, &mut self.state);
-                match self.pool.install(|| frame::render_frame(state, level, &scene, &settings, true)) {
+                match self.pool.install(|| frame::render_frame(state, level, &scene, &settings, true, &mut made)) {
                     // The first frame sends the scene.
-                    Ok(_) if frame == 0 => {}
-                    Ok(made) => best = best.min(made.stats.stages_ms.total),
+                    Ok(()) if frame == 0 => {}
+                    Ok(()) => best = best.min(made.stats.stages_ms.total),
                     Err(_) => break,
                 }
             }
@@ -259,16 +283,44 @@ impl Renderer {
     /// [`RenderError::Settings`] and [`RenderError::Scene`] for what cannot be drawn; [`RenderError::Gpu`] where the GPU lane
     /// was chosen explicitly and failed.
     pub fn render(&mut self, scene: &RenderScene, settings: &RenderSettings) -> Result<Frame, RenderError> {
-        self.frame(scene, settings, true)
+        let mut frame = Frame::default();
+        self.frame(scene, settings, true, &mut frame)?;
+        Ok(frame)
     }
 
-    fn frame(&mut self, scene: &RenderScene, settings: &RenderSettings, read_back: bool) -> Result<Frame, RenderError> {
+    /// As [`Self::render`] into a frame made before, whose memory is used again: on the CPU lane frame after frame of one size
+    /// then allocates nothing ([`Self::run`]). After an error the frame's content is undefined.
+    ///
+    /// # Errors
+    /// As [`Self::render`].
+    pub fn render_into(
+        &mut self,
+        scene: &RenderScene,
+        settings: &RenderSettings,
+        frame: &mut Frame,
+    ) -> Result<(), RenderError> {
+        self.frame(scene, settings, true, frame)
+    }
+
+    /// Calls `f` on one of the renderer's own threads, where frames need no hand-over between threads.
+    pub fn run<R: Send>(&mut self, f: impl FnOnce(&mut Self) -> R + Send) -> R {
+        let pool = self.pool.clone();
+        pool.install(|| f(self))
+    }
+
+    fn frame(
+        &mut self,
+        scene: &RenderScene,
+        settings: &RenderSettings,
+        read_back: bool,
+        frame: &mut Frame,
+    ) -> Result<(), RenderError> {
         let (level, state) = (self.level, &mut self.state);
-        match self.pool.install(|| frame::render_frame(state, level, scene, settings, read_back)) {
+        match self.pool.install(|| frame::render_frame(state, level, scene, settings, read_back, frame)) {
             Err(RenderError::Gpu(why)) if self.automatic => {
                 self.give_up_gpu(why);
                 let state = &mut self.state;
-                self.pool.install(|| frame::render_frame(state, level, scene, settings, read_back))
+                self.pool.install(|| frame::render_frame(state, level, scene, settings, read_back, frame))
             }
             // A tracer that was asked for by name is named.
             Err(RenderError::Gpu(why)) if !self.state.automatic_tracer && self.tracer.tracer != Tracer::Cpu => {
@@ -316,12 +368,13 @@ impl Renderer {
                 missing: "a device: make the renderer with Renderer::with_device".into(),
             });
         }
-        let mut frame = self.frame(scene, settings, false)?;
+        let mut frame = Frame::default();
+        self.frame(scene, settings, false, &mut frame)?;
         if let Some(gpu) = &mut self.state.gpu {
             match gpu.present(view, format, exposure_ev) {
                 Err(RenderError::Gpu(why)) if self.automatic => {
                     self.give_up_gpu(why);
-                    frame = self.frame(scene, settings, false)?;
+                    self.frame(scene, settings, false, &mut frame)?;
                 }
                 presented => return presented.map(|()| frame.stats),
             }
@@ -392,7 +445,7 @@ impl Renderer {
     }
     /// Adapter (GPU lane) or SIMD level (CPU lane).
     pub fn device(&self) -> String {
-        device_name(&self.state, self.level)
+        device_name(&self.state, self.level).to_string()
     }
     /// The SIMD level that runs; never `Auto`.
     pub fn simd_level(&self) -> SimdLevel {
@@ -412,10 +465,10 @@ impl Renderer {
     }
 }
 
-pub(crate) fn device_name(state: &FrameState, level: SimdLevel) -> String {
+pub(crate) fn device_name(state: &FrameState, level: SimdLevel) -> &str {
     match &state.gpu {
-        Some(gpu) => gpu.adapter().name.clone(),
-        None => simd::level_name(level).to_string(),
+        Some(gpu) => &gpu.adapter().name,
+        None => simd::level_name(level),
     }
 }
 

@@ -200,6 +200,10 @@ pub struct RenderSettings {
     pub max_depth: u32,
     /// Rays whose weight falls below it (greatest channel) end. Lower: exact, dearer.
     pub min_weight: f32,
+    /// Most rays a frame: what lights and VPLs leave of it goes to mirrors and glass, whose rays of least weight end first
+    /// ([`crate::trace::budget`]); `None`: no cap. Lower: shallower and dimmer reflections. A capped frame has the same bits
+    /// everywhere.
+    pub ray_budget: Option<u64>,
     /// Tile side in pixels of the CPU's work; never changes the picture.
     pub tile: u32,
     /// Seed of sampling patterns.
@@ -242,6 +246,7 @@ impl RenderSettings {
             traced: true,
             max_depth: 8,
             min_weight: 1.0 / 512.0,
+            ray_budget: None,
             tile: 32,
             seed: 0,
             keep_layers: false,

@@ -4,9 +4,10 @@ use super::{
     args::BenchArgs,
     failure::{Failure, line},
     progress::Progress,
-    render::{DEFAULT_SIZE, make_frame, refuse_more_than_memory},
+    render::{Canvas, DEFAULT_SIZE, make_frame, refuse_more_than_memory},
     stats::{self, FrameRecord},
     target::Target,
+    trace_file,
     world::World,
 };
 use catoptra_render_hybrid::{Layer, image_io};
@@ -18,20 +19,22 @@ const WARM_UP: u64 = 2;
 
 /// Runs `bench`.
 pub fn run(args: &BenchArgs) -> Result<(), Failure> {
-    args.picture.refuse_missing()?;
     let settings = args.picture.settings(DEFAULT_SIZE)?;
     let targets = Target::parse(&args.target)?;
     refuse_more_than_memory(&settings)?;
     let options = args.picture.scene.options();
     let mut renderer = args.picture.renderer()?;
+    let recording = trace_file::start(args.picture.trace.as_deref())?;
     let json_alone = args.json.as_deref() == Some(Path::new("-"));
     let mut scenes = Vec::new();
+    let mut canvas = Canvas::default();
     for target in &targets {
         let mut world = World::open(target, &options)?;
         let mut progress = Progress::new(&world.name, WARM_UP + args.frames);
         let mut records: Vec<FrameRecord> = Vec::new();
         for k in 0..WARM_UP + args.frames {
-            let record = make_frame(&mut world, &mut renderer, &settings, k, Layer::Final, args.picture.exposure)?.0;
+            let exposure = args.picture.exposure;
+            let record = make_frame(&mut world, &mut renderer, &settings, k, Layer::Final, exposure, &mut canvas)?;
             if k >= WARM_UP {
                 records.push(record);
             }
@@ -45,6 +48,7 @@ pub fn run(args: &BenchArgs) -> Result<(), Failure> {
         }
         scenes.push(entry);
     }
+    trace_file::finish(recording)?;
     let file = json!({ "machine": stats::machine(&renderer), "scenes": scenes });
     match &args.json {
         None => Ok(()),
@@ -66,6 +70,7 @@ fn entry(world: &World, size: (u32, u32), records: &[FrameRecord]) -> Value {
         "frame_ms": stats::frame_times(records),
         "stages_ms": stats::stage_medians(records),
         "rays": stats::ray_medians(records),
+        "mray_per_s": stats::mrays(records),
     })
 }
 
@@ -90,5 +95,5 @@ fn print(entry: &Value) -> Result<(), Failure> {
         parts.map(|(k, v)| format!("{k} {:.digits$}", number(v))).collect::<Vec<_>>().join(", ")
     };
     line(format!("  ms: {}", list("stages_ms", 2)))?;
-    line(format!("  rays: {}", list("rays", 0)))
+    line(format!("  rays: {}; {:.2} Mray/s", list("rays", 0), number(&entry["mray_per_s"])))
 }

@@ -17,7 +17,6 @@ const GOOD_HALVES: f64 = 0.02;
 
 /// Runs `judge`.
 pub fn run(args: &JudgeArgs) -> Result<(), Failure> {
-    args.picture.refuse_missing()?;
     let settings = args.picture.settings(DEFAULT_SIZE)?;
     let targets = Target::parse(&args.target)?;
     let scene_options = args.picture.scene.options();

@@ -19,6 +19,7 @@ mod render;
 mod replay;
 mod stats;
 mod target;
+mod trace_file;
 mod world;
 
 pub use args::{Cli, Command, PlayArgs};

@@ -198,7 +198,7 @@ pub struct PictureArgs {
     /// Tree of each mesh
     #[arg(long, value_enum, default_value_t)]
     pub blas: Blas,
-    /// Most rays a frame
+    /// Most rays a frame: where they do not suffice, the mirrors' and glasses' rays of least weight end first
     #[arg(long, value_name = "RAYS")]
     pub budget: Option<u64>,
     /// Worker threads [default: one a processor]
@@ -216,6 +216,9 @@ pub struct PictureArgs {
     /// Exposure of PNGs in stops
     #[arg(long, value_name = "EV", default_value_t = 0.0, allow_negative_numbers = true, value_parser = parse_exposure)]
     pub exposure: f32,
+    /// Writes when each stage ran on which thread, as a chrome trace (render and bench)
+    #[arg(long, value_name = "FILE")]
+    pub trace: Option<PathBuf>,
     /// What stands in for parts of the scenes
     #[command(flatten)]
     pub scene: SceneArgs,
@@ -243,17 +246,6 @@ fn parse_exposure(text: &str) -> Result<f32, String> {
 }
 
 impl PictureArgs {
-    /// Refuses explicit choices that this version cannot serve.
-    ///
-    /// # Errors
-    /// The first of them, by name.
-    pub fn refuse_missing(&self) -> Result<(), Failure> {
-        if self.budget.is_some() {
-            return Err(Failure::missing("--budget", "ray budgets are not in this version; leave it out"));
-        }
-        Ok(())
-    }
-
     /// Settings of a frame; `default_size` where no size was given.
     ///
     /// # Errors
@@ -289,6 +281,7 @@ impl PictureArgs {
         }
         s.shadow_samples = self.shadow_samples.unwrap_or(s.shadow_samples);
         s.max_depth = self.depth.unwrap_or(s.max_depth);
+        s.ray_budget = self.budget;
         s.min_weight = self.min_weight.unwrap_or(s.min_weight);
         s.tile = self.tile.unwrap_or(s.tile);
         s.seed = self.seed.unwrap_or(s.seed);
@@ -391,13 +384,5 @@ mod tests {
         assert_eq!(none.settings(Size(8, 8)).unwrap().vpl, None);
         let tile = PictureArgs { tile: Some(3), ..PictureArgs::default() };
         assert!(matches!(tile.settings(Size(8, 8)), Err(Failure::Usage(_))));
-    }
-
-    #[test]
-    fn what_is_missing_is_refused() {
-        let base = PictureArgs::default();
-        assert!(base.refuse_missing().is_ok());
-        let args = PictureArgs { budget: Some(1), ..base };
-        assert!(matches!(args.refuse_missing(), Err(Failure::Other(_))), "{args:?}");
     }
 }

@@ -7,6 +7,7 @@ use super::{
     progress::Progress,
     stats::{self, FrameRecord},
     target::Target,
+    trace_file,
     world::World,
 };
 use catoptra_render_hybrid::{Frame, Image, Layer, RenderSettings, Renderer, image_io};
@@ -64,11 +65,11 @@ pub fn run(args: &RenderArgs) -> Result<(), Failure> {
 
 /// Renders and writes all frames of all targets, then stats.json.
 pub fn render(job: &RenderJob<'_>) -> Result<(), Failure> {
-    job.picture.refuse_missing()?;
     let mut settings = job.picture.settings(DEFAULT_SIZE)?;
     settings.keep_layers = job.layer != LayerArg::Final;
     refuse_more_than_memory(&settings)?;
     let options = job.picture.scene.options();
+    let recording = trace_file::start(job.picture.trace.as_deref())?;
     let mut renderer = None;
     let mut entries = Vec::new();
     for target in &job.targets {
@@ -83,6 +84,7 @@ pub fn render(job: &RenderJob<'_>) -> Result<(), Failure> {
         };
         entries.push(render_target(job, &mut world, renderer, &settings)?);
     }
+    trace_file::finish(recording)?;
     let Some(renderer) = renderer else { return Ok(()) };
     let file = json!({
         "machine": stats::machine(&renderer),
@@ -108,8 +110,10 @@ fn render_target(
     let mut progress = Progress::new(&world.name, job.frames);
     let mut records = Vec::new();
     let mut size = (settings.width, settings.height);
+    let mut canvas = Canvas::default();
     for k in job.first..job.first + job.frames {
-        let (record, picture, srgb8) = make_frame(world, renderer, settings, k, layer, job.picture.exposure)?;
+        let record = make_frame(world, renderer, settings, k, layer, job.picture.exposure, &mut canvas)?;
+        let picture = canvas.picture(layer)?;
         if k == job.first && record.stats.non_finite.0 > 0 {
             let (count, at) = record.stats.non_finite;
             note(format!("{}: {count} pixels were not finite and are black, the first at {at:?}", world.name));
@@ -117,8 +121,8 @@ fn render_target(
         size = (picture.width, picture.height);
         let path = picture_path(job.out, &world.name, job.layer, k, job.format);
         match job.format {
-            Format::Png => image_io::write_png(&path, size.0, size.1, &srgb8)?,
-            Format::Exr => image_io::write_exr(&path, &picture)?,
+            Format::Png => image_io::write_png(&path, size.0, size.1, &canvas.srgb8)?,
+            Format::Exr => image_io::write_exr(&path, picture)?,
         }
         let text = format!(
             "frame={k} scene={} hash={} ms={:.3} file={}",
@@ -134,9 +138,25 @@ fn render_target(
     Ok(stats::scene_entry(&world.name, layer_name, size, world.scene().triangle_count(), &records))
 }
 
-/// Steps the world to frame `k`, draws it and tone-maps it: what `frame_ms` measures.
-///
-/// Returns the figures, the layer as linear light, and its sRGB bytes.
+/// A frame and its picture, whose memory serves the next one.
+#[derive(Default)]
+pub struct Canvas {
+    frame: Frame,
+    /// sRGB bytes of the layer.
+    pub srgb8: Vec<u8>,
+}
+
+impl Canvas {
+    /// The layer as linear light.
+    ///
+    /// # Errors
+    /// Where the frame has no such layer.
+    pub fn picture(&self, layer: Layer) -> Result<&Image, Failure> {
+        self.frame.layer(layer).ok_or_else(|| Failure::other(format!("the scene has no {layer:?} layer")))
+    }
+}
+
+/// Steps the world to frame `k`, draws it and tone-maps it: what `frame_ms` measures. Returns the figures.
 pub fn make_frame(
     world: &mut World,
     renderer: &mut Renderer,
@@ -144,25 +164,22 @@ pub fn make_frame(
     k: u64,
     layer: Layer,
     exposure_ev: f32,
-) -> Result<(FrameRecord, Image, Vec<u8>), Failure> {
+    canvas: &mut Canvas,
+) -> Result<FrameRecord, Failure> {
     let start = Instant::now();
     world.advance(k - world.frame());
     let physics_ms = millis(start);
-    let frame = renderer.render(world.scene(), settings)?;
+    renderer.render_into(world.scene(), settings, &mut canvas.frame)?;
     let tone_map = Instant::now();
-    let Frame { image, layers, stats } = frame;
-    let picture = match layer {
-        Layer::Final => image,
-        _ => layers
-            .into_iter()
-            .find(|(l, _)| *l == layer)
-            .map(|(_, image)| image)
-            .ok_or_else(|| Failure::other(format!("the scene has no {layer:?} layer")))?,
-    };
-    let srgb8 = image_io::srgb8_from_layer(layer, &picture, exposure_ev);
+    let mut srgb8 = std::mem::take(&mut canvas.srgb8);
+    match layer {
+        Layer::Final => image_io::srgb8_into(canvas.picture(layer)?, exposure_ev, &mut srgb8),
+        _ => srgb8 = image_io::srgb8_from_layer(layer, canvas.picture(layer)?, exposure_ev),
+    }
+    canvas.srgb8 = srgb8;
     let (tone_map_ms, frame_ms) = (millis(tone_map), millis(start));
-    let record = FrameRecord { frame: k, hash: picture.hash(), frame_ms, physics_ms, tone_map_ms, stats };
-    Ok((record, picture, srgb8))
+    let (hash, stats) = (canvas.picture(layer)?.hash(), canvas.frame.stats.clone());
+    Ok(FrameRecord { frame: k, hash, frame_ms, physics_ms, tone_map_ms, stats })
 }
 
 /// Milliseconds since `start`.

@@ -122,6 +122,12 @@ pub fn ray_medians(records: &[FrameRecord]) -> Value {
     Value::Object(map)
 }
 
+/// Median millions of rays a second, over the whole time of a frame: pixels and texels, which are scan-converted, are none.
+pub fn mrays(records: &[FrameRecord]) -> f64 {
+    let rate = |r: &FrameRecord| r.stats.rays.total() as f64 * 1e-3 / r.frame_ms.max(1e-6);
+    ms(median(records.iter().map(rate)))
+}
+
 /// One scene's entry in stats.json.
 pub fn scene_entry(scene: &str, layer: &str, size: (u32, u32), triangles: usize, records: &[FrameRecord]) -> Value {
     let pixels = f64::from(size.0) * f64::from(size.1);
@@ -142,6 +148,7 @@ pub fn scene_entry(scene: &str, layer: &str, size: (u32, u32), triangles: usize,
         "frame_ms": frame_times(records),
         "stages_ms": stage_medians(records),
         "rays": ray_medians(records),
+        "mray_per_s": mrays(records),
         "masked_share": median(records.iter().map(|r| share(&r.stats))),
         "vpls": last.map(|s| s.vpls),
         "tlas_nodes_touched": median(records.iter().map(|r| f64::from(r.stats.tlas_nodes_touched))),

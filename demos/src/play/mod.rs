@@ -68,7 +68,6 @@ pub fn run(args: &PlayArgs) -> Result<(), Failure> {
 /// [`PlayError::NoWindow`] where there is no display or nothing can draw on it; an unknown scene; an explicit choice of
 /// `picture` that cannot be served.
 pub fn play(args: &PlayArgs) -> Result<(), PlayError> {
-    args.picture.refuse_missing()?;
     let target = match args.scene.as_deref() {
         None => None,
         Some(name) => Some(Target::parse_one(name)?),

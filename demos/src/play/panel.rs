@@ -11,6 +11,9 @@ use catoptra_render_hybrid::{
 };
 use egui::{ComboBox, Grid, Panel, RichText, ScrollArea, Slider, Ui};
 
+/// Pictures that the plot remembers.
+const HISTORY: usize = 180;
+
 /// What the last picture told, kept while the next one is made.
 #[derive(Default)]
 pub struct Figures {
@@ -26,6 +29,8 @@ pub struct Figures {
     pub physics_ms: f64,
     /// Mean time between pictures over the last half second or so, milliseconds.
     pub interval_ms: f64,
+    /// Time that each of the last pictures took to make, milliseconds, the latest last.
+    pub history: std::collections::VecDeque<f32>,
 }
 
 impl Figures {
@@ -36,6 +41,10 @@ impl Figures {
         self.size = (picture.width, picture.height);
         self.stats = picture.stats.clone();
         self.physics_ms = picture.physics_ms;
+        if self.history.len() == HISTORY {
+            self.history.pop_front();
+        }
+        self.history.push_back(picture.frame_ms as f32);
         // About half a second of memory, whatever the rate.
         let weight = if self.interval_ms > 0.0 { interval_ms / (interval_ms + 500.0) } else { 1.0 };
         self.interval_ms += (interval_ms - self.interval_ms) * weight;
@@ -192,6 +201,23 @@ fn indirect(ui: &mut Ui, s: &mut RenderSettings, initial: Option<VplOptions>) {
     }
 }
 
+/// A bar a picture, as high as it took long; the line is 1/30 s.
+fn history(ui: &mut Ui, history: &std::collections::VecDeque<f32>) {
+    let (rect, _) = ui.allocate_exact_size(egui::vec2(ui.available_width().min(260.0), 48.0), egui::Sense::hover());
+    let painter = ui.painter_at(rect);
+    painter.rect_filled(rect, 2.0, ui.visuals().extreme_bg_color);
+    let most = history.iter().fold(40.0f32, |m, &v| m.max(v));
+    let y = |ms: f32| rect.bottom() - rect.height() * (ms / most).min(1.0);
+    let width = rect.width() / HISTORY as f32;
+    for (i, &ms) in history.iter().enumerate() {
+        let x = rect.left() + width * i as f32;
+        let bar = egui::Rect::from_min_max(egui::pos2(x, y(ms)), egui::pos2(x + width, rect.bottom()));
+        painter.rect_filled(bar, 0.0, ui.visuals().selection.bg_fill);
+    }
+    let line = y(1e3 / 30.0);
+    painter.hline(rect.x_range(), line, egui::Stroke::new(1.0, ui.visuals().weak_text_color()));
+}
+
 fn cost(ui: &mut Ui, figures: &Figures) {
     let s = &figures.stats;
     let lane = match s.raster {
@@ -201,6 +227,9 @@ fn cost(ui: &mut Ui, figures: &Figures) {
     let rate = 1e3 / figures.interval_ms.max(0.001);
     ui.label(RichText::new(format!("{rate:.1} pictures/s at {}x{}", figures.size.0, figures.size.1)).strong());
     ui.label(format!("{lane}: {}", s.device));
+    history(ui, &figures.history);
+    let rate = s.rays.total() as f64 * 1e-3 / s.stages_ms.total.max(1e-6);
+    ui.label(format!("{rate:.2} Mray/s, {} rays", s.rays.total()));
     let t = &s.stages_ms;
     let stages = [
         ("physics", figures.physics_ms),
@@ -225,8 +254,8 @@ fn cost(ui: &mut Ui, figures: &Figures) {
     let r = &s.rays;
     let pixels = f64::from(figures.size.0) * f64::from(figures.size.1);
     let rows = [
-        ("camera rays", r.camera),
-        ("moment rays", r.moments),
+        ("pixels seen", r.camera),
+        ("moment texels", r.moments),
         ("reflection rays", r.reflection),
         ("refraction rays", r.refraction),
         ("shadow rays", r.shadow),

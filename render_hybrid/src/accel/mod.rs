@@ -187,6 +187,26 @@ impl Accel {
         }
     }
 
+    /// True where rays can meet the instance: its transform is regular and its box finite.
+    pub(crate) fn can_be_hit(&self, instance_id: u32) -> bool {
+        self.world.can_be_hit(instance_id)
+    }
+
+    /// True where anything has holes.
+    pub(crate) fn any_holes(&self) -> bool {
+        self.cutouts.is_some()
+    }
+
+    /// True where the instance has holes.
+    pub(crate) fn has_holes(&self, instance_id: u32) -> bool {
+        self.cutouts.as_ref().is_some_and(|c| c.has(instance_id))
+    }
+
+    /// True where the hit falls into a hole.
+    pub(crate) fn is_hole(&self, hit: &Hit) -> bool {
+        self.cutouts.as_ref().is_some_and(|c| c.is_hole(hit))
+    }
+
     /// The first hit from `hit` on that falls into no hole.
     fn beyond_holes(&self, ray: &Ray, mut hit: Hit) -> Hit {
         let Some(cutouts) = &self.cutouts else { return hit };

@@ -348,6 +348,11 @@ impl World {
         true
     }
 
+    pub fn can_be_hit(&self, instance_id: u32) -> bool {
+        let f = &self.follow;
+        f.slot_of.get(instance_id as usize).is_some_and(|&slot| !f.boxes[slot as usize].is_empty())
+    }
+
     pub fn set_shadow_casters(&mut self, casts: impl Fn(u32) -> bool) {
         for (id, &slot) in self.follow.slot_of.iter().enumerate() {
             self.records[slot as usize].casts_shadow = casts(id as u32);

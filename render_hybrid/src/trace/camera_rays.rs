@@ -1,7 +1,6 @@
 //! Camera rays for the GPU lane: the CPU's own view of the pixels that it must trace or whose visibility it must know.
 //! Casting them anew costs less than reading a G-buffer back, and gives the surfaces that secondary rays start from.
 
-use glam::Vec3;
 use rayon::prelude::*;
 
 use super::{
@@ -12,7 +11,10 @@ use super::{
 use crate::{
     accel::{Hit, Ray},
     output::RayCounts,
-    twin::tile::{TileRect, TileScratch, fill_gbuffer, fill_indirect},
+    twin::{
+        gbuffer::CameraScan,
+        tile::{TileRect, TileScratch, fill_indirect},
+    },
 };
 
 /// The surfaces behind a list of pixel numbers, in its order; pixels where the ray meets nothing are left out.
@@ -58,6 +60,8 @@ pub struct TracedLight {
 pub fn trace_light(ctx: &FrameContext, lights: bool, vpls: bool, counts: &mut RayCounts) -> TracedLight {
     let (width, height, tile) = (ctx.settings.width, ctx.settings.height, ctx.settings.tile);
     let light_count = if lights { ctx.scene.lights.len() } else { 0 };
+    let mut scan = CameraScan::default();
+    scan.build(ctx.scene, ctx.accel, [width, height]);
     let bands: Vec<(Vec<Vec<f32>>, Vec<[f32; 3]>, RayCounts)> = (0..height.div_ceil(tile))
         .into_par_iter()
         .map(|band| {
@@ -68,21 +72,29 @@ pub fn trace_light(ctx: &FrameContext, lights: bool, vpls: bool, counts: &mut Ra
             let mut indirect = vec![[0.0; 3]; if vpls { n } else { 0 }];
             let mut counts = RayCounts::default();
             let mut scratch = TileScratch::default();
+            scan.list.of_rows(y, y + rows - 1, &mut scratch.band);
             for x in (0..width).step_by(tile as usize) {
-                fill_gbuffer(ctx, TileRect { x, y, width: tile.min(width - x), height: rows }, &mut scratch);
-                counts.camera += scratch.gbuffer.len() as u64;
-                for g in &scratch.gbuffer {
-                    let Some(s) = &g.surface else { continue };
-                    for (light, plane) in visibility.iter_mut().enumerate() {
-                        let at = (g.pixel - y * width) as usize;
-                        plane[at] = shade::light_visibility(ctx, light as u32, s, g.pixel, &mut counts);
-                    }
-                }
+                let rect = TileRect { x, y, width: tile.min(width - x), height: rows };
+                scratch.gbuffer.fill(ctx, &scan, &scratch.band, rect, true);
+                counts.camera += u64::from(rect.width) * u64::from(rect.height);
+                scratch.gbuffer.blacken_outside();
                 if vpls {
                     fill_indirect(ctx, &mut scratch, &mut counts);
-                    for (g, radiance) in scratch.gbuffer.iter().zip(&scratch.indirect) {
-                        let radiance: Vec3 = *radiance;
-                        indirect[(g.pixel - y * width) as usize] = radiance.to_array();
+                }
+                let g = &scratch.gbuffer;
+                for py in y..y + rows {
+                    for px in x..x + rect.width {
+                        let (i, at) = (g.index(px, py), ((py - y) * width + px) as usize);
+                        if g.instance(ctx, &scan, i).is_none() {
+                            continue;
+                        }
+                        for (light, plane) in visibility.iter_mut().enumerate() {
+                            let pixel = py * width + px;
+                            plane[at] = shade::light_visibility(ctx, light as u32, &g.surfaces[i], pixel, &mut counts);
+                        }
+                        if vpls {
+                            indirect[at] = (g.points.albedo(i) * g.points.irradiance(i)).to_array();
+                        }
                     }
                 }
             }

@@ -96,27 +96,40 @@ fn power(light: &Light, bounds: Aabb) -> f32 {
     }
 }
 
-/// Shares `paths` out over all lights and, as the last entry, the emissive triangles together: in proportion to power by
-/// largest remainders, at least one for each source that emits.
-pub fn share_paths(scene: &RenderScene, emissive: &[EmissiveTriangle], bounds: Aabb, paths: u32) -> Vec<u32> {
-    let mut powers: Vec<f32> = scene.lights.iter().map(|l| power(l, bounds)).collect();
-    // Both sides of an emissive surface radiate: 2π per area and radiance.
-    powers.push(emissive.last().map_or(0.0, |t| TAU * t.cumulative));
-    let total: f32 = powers.iter().sum();
-    if total <= 0.0 || !total.is_finite() {
-        return vec![0; powers.len()];
+/// How many light paths each source gets, and memory to find out.
+#[derive(Clone, Debug, Default)]
+pub struct PathShares {
+    /// One a light, and as the last entry the emissive triangles together.
+    pub shares: Vec<u32>,
+    powers: Vec<f32>,
+    order: Vec<usize>,
+}
+
+impl PathShares {
+    /// Shares `paths` out in proportion to power by largest remainders, at least one for each source that emits.
+    pub fn update(&mut self, scene: &RenderScene, emissive: &[EmissiveTriangle], bounds: Aabb, paths: u32) {
+        let Self { shares, powers, order } = self;
+        powers.clear();
+        powers.extend(scene.lights.iter().map(|l| power(l, bounds)));
+        // Both sides of an emissive surface radiate: 2π per area and radiance.
+        powers.push(emissive.last().map_or(0.0, |t| TAU * t.cumulative));
+        shares.clear();
+        let total: f32 = powers.iter().sum();
+        if total <= 0.0 || !total.is_finite() {
+            shares.resize(powers.len(), 0);
+            return;
+        }
+        let exact = |p: f32| p / total * paths as f32;
+        shares.extend(powers.iter().map(|&p| if p > 0.0 { (exact(p).floor() as u32).max(1) } else { 0 }));
+        order.clear();
+        order.extend((0..powers.len()).filter(|&i| powers[i] > 0.0));
+        order.sort_unstable_by(|&a, &b| {
+            let fraction = |i: usize| exact(powers[i]).fract();
+            fraction(b).total_cmp(&fraction(a)).then(a.cmp(&b))
+        });
+        let given: u32 = shares.iter().sum();
+        for &i in order.iter().cycle().take(paths.saturating_sub(given) as usize) {
+            shares[i] += 1;
+        }
     }
-    let exact = |p: f32| p / total * paths as f32;
-    let mut shares: Vec<u32> =
-        powers.iter().map(|&p| if p > 0.0 { (exact(p).floor() as u32).max(1) } else { 0 }).collect();
-    let mut order: Vec<usize> = (0..powers.len()).filter(|&i| powers[i] > 0.0).collect();
-    order.sort_by(|&a, &b| {
-        let fraction = |i: usize| exact(powers[i]).fract();
-        fraction(b).total_cmp(&fraction(a)).then(a.cmp(&b))
-    });
-    let given: u32 = shares.iter().sum();
-    for &i in order.iter().cycle().take(paths.saturating_sub(given) as usize) {
-        shares[i] += 1;
-    }
-    shares
 }

@@ -7,8 +7,9 @@ use glam::Vec3;
 
 use super::{
     camera_rays::camera_ray,
+    direct,
     media::MediumStack,
-    points::PointBatch,
+    points::{Glossy, PointBatch},
     shade::{self, FrameContext, VplRays},
     surface::{Surface, surface_at},
     whitted::{above_horizon, split},
@@ -16,7 +17,10 @@ use super::{
 use crate::{
     accel::Ray,
     output::RayCounts,
-    twin::shading::{beer_lambert, reflect},
+    twin::{
+        gbuffer::point_of,
+        shading::{beer_lambert, reflect},
+    },
 };
 
 /// Branches after which a tree is cut; [`RayTree::cut`] says so.
@@ -153,13 +157,17 @@ fn follow(ctx: &FrameContext, mut way: Way, pixel: u32, tree: &mut RayTree, open
 /// Direct and indirect radiance of a surface towards `wo`.
 fn local_light(ctx: &FrameContext, surface: &Surface, wo: Vec3, pixel: u32) -> (Vec3, Vec3) {
     let (mut points, mut rays, mut counts) = (PointBatch::default(), VplRays::default(), RayCounts::default());
-    points.push(surface.position_world, surface.n_shading);
+    let surfaces = std::slice::from_ref(surface);
+    let unlit = ctx.scene.materials[surface.material as usize].unlit;
+    points.push(&point_of(ctx, surface));
+    let look = &surface.look;
+    if look.specular != Vec3::ZERO && !unlit {
+        points.glossy.push(Glossy { point: 0, specular: look.specular, shininess: look.shininess, wo });
+    }
     points.pad();
-    let all = 0..ctx.vpls.len();
-    shade::indirect_light(ctx, all, &mut points, std::iter::once(surface), &mut rays, &mut counts);
-    let m = &ctx.scene.materials[surface.material as usize];
-    let direct = shade::direct_light(ctx, surface, wo, pixel, &mut counts);
-    (direct, shade::indirect_albedo(m, surface) * points.irradiance(0))
+    shade::indirect_light(ctx, 0..ctx.vpls.len(), &mut points, surfaces, &mut rays, &mut counts);
+    direct::direct_light(ctx, &mut points, surfaces, |_| pixel, &mut counts);
+    (points.radiance(0), points.albedo(0) * points.irradiance(0))
 }
 
 /// Opens the reflected and the refracted ray, as `whitted::spawn` does.

@@ -1,8 +1,11 @@
 //! Rays on the CPU: surfaces behind hits, shading, light paths, the Whitted tracer and the reference path tracer.
 
+pub mod budget;
 pub mod camera_rays;
+pub mod direct;
 pub mod emission;
 pub mod explain;
+pub(crate) mod facet;
 pub mod media;
 pub mod photons;
 pub mod points;

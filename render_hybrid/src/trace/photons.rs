@@ -9,7 +9,7 @@ use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::{
-    emission::{self, EmissiveTriangle},
+    emission::{self, EmissiveTriangle, PathShares},
     sampling,
     surface::{NormalMatrices, Surface, surface_at},
 };
@@ -39,6 +39,8 @@ fn bounce_sample(path: u32, bounce: u32, seed: u32) -> Vec2 {
 #[derive(Clone, Debug, Default)]
 pub struct Photons {
     emissive: Vec<EmissiveTriangle>,
+    shares: PathShares,
+    paths: Vec<Path>,
     slots: Vec<Vpl>,
     /// VPLs with flux, in the order of paths.
     pub vpls: Vec<Vpl>,
@@ -47,7 +49,7 @@ pub struct Photons {
 }
 
 /// One light path to trace.
-#[derive(Clone, Copy)]
+#[derive(Clone, Copy, Debug)]
 struct Path {
     /// Light, or `lights.len()` for the emissive triangles.
     source: u32,
@@ -78,12 +80,12 @@ impl Photons {
         let bounces = options.bounces;
         let slots_a_path = if self.emissive.is_empty() { bounces } else { bounces + 1 } as usize;
         let paths = (options.count / slots_a_path as u32).max(1);
-        let shares = emission::share_paths(scene, &self.emissive, bounds, paths);
-        let paths: Vec<Path> = shares
-            .iter()
-            .enumerate()
-            .flat_map(|(source, &of)| (0..of).map(move |index| Path { source: source as u32, index, of }))
-            .collect();
+        self.shares.update(scene, &self.emissive, bounds, paths);
+        let paths = &mut self.paths;
+        paths.clear();
+        for (source, &of) in self.shares.shares.iter().enumerate() {
+            paths.extend((0..of).map(|index| Path { source: source as u32, index, of }));
+        }
         self.slots.clear();
         self.slots.resize(paths.len() * slots_a_path, Vpl::default());
         let emissive = &self.emissive;
@@ -92,7 +94,7 @@ impl Photons {
             .slots
             .par_chunks_mut(slots_a_path)
             .with_min_len(16)
-            .zip(&paths)
+            .zip(&*paths)
             .map(|(slots, path)| tracer.trace(*path, slots))
             .sum();
         self.vpls.extend(self.slots.iter().filter(|v| v.flux != Vec3::ZERO));

@@ -1,8 +1,9 @@
-//! Batches of shaded points in flat arrays, and the wide kernel that lights them by all VPLs.
+//! Batches of shaded points in flat arrays, and the wide kernels that light them by all VPLs.
 
 use glam::{Vec2, Vec3};
 
 use crate::{
+    accel::Ray,
     simd::dispatch,
     twin::{
         vpl::{Vpl, geometry_term},
@@ -15,36 +16,140 @@ use crate::{
 use std::f32::consts::FRAC_1_PI;
 
 /// Points handled together; a multiple of every SIMD width. The result of a point does not depend on it.
-const LANES: usize = 16;
+pub const LANES: usize = 16;
 
-/// Points with normals, and the irradiance that they receive. Arrays are padded to a multiple of the lane count.
+/// One value of [`LANES`] points.
+pub type Lane = [f32; LANES];
+
+/// What the kernels need to know of a place that is lit.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct PointSurface {
+    /// The place, world space.
+    pub position_world: Vec3,
+    /// Unit shading normal on the viewer's side; zero: nothing lights it.
+    pub normal: Vec3,
+    /// factor x texture x vertex colour.
+    pub base_color: Vec3,
+    /// k_d · matte weight / π: turns base colour into what reflects irradiance.
+    pub matte: f32,
+    /// Radiance that no light causes: emitted and ambient.
+    pub own: Vec3,
+}
+
+/// A point with a highlight.
+#[derive(Clone, Copy, Debug)]
+pub struct Glossy {
+    /// Number of the point.
+    pub point: u32,
+    /// k_s and exponent of the lobe.
+    pub specular: Vec3,
+    /// See `specular`.
+    pub shininess: f32,
+    /// Unit direction towards the viewer.
+    pub wo: Vec3,
+}
+
+/// Points with normals, what they reflect, and the light that they receive. Arrays are padded to a multiple of the lane
+/// count.
 #[derive(Clone, Debug, Default)]
 pub struct PointBatch {
     len: usize,
     /// Positions, world space: x, y, z planes.
-    position: [Vec<f32>; 3],
+    pub(crate) position: [Vec<f32>; 3],
     /// Unit normals: x, y, z planes.
-    normal: [Vec<f32>; 3],
-    /// Irradiance: r, g, b planes.
-    irradiance: [Vec<f32>; 3],
+    pub(crate) normal: [Vec<f32>; 3],
+    /// Base colours: r, g, b planes.
+    pub(crate) base_color: [Vec<f32>; 3],
+    /// See [`PointSurface::matte`].
+    pub(crate) matte: Vec<f32>,
+    /// Irradiance by VPLs: r, g, b planes.
+    pub(crate) irradiance: [Vec<f32>; 3],
+    /// Direct and own radiance: r, g, b planes.
+    pub(crate) radiance: [Vec<f32>; 3],
+    /// Radiance that one light would cause unshadowed.
+    pub(crate) unshadowed: [Vec<f32>; 3],
+    /// Points whose material has a highlight.
+    pub glossy: Vec<Glossy>,
+    /// Memory for shadow rays.
+    pub(crate) shadows: ShadowRays,
+}
+
+/// Shadow rays of a batch towards one light.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct ShadowRays {
+    pub rays: Vec<Ray>,
+    /// The point of each.
+    pub of: Vec<u32>,
+    pub occluded: Vec<bool>,
+}
+
+impl ShadowRays {
+    pub fn clear(&mut self) {
+        self.rays.clear();
+        self.of.clear();
+        self.occluded.clear();
+    }
 }
 
 impl PointBatch {
+    fn planes(&mut self) -> impl Iterator<Item = &mut Vec<f32>> {
+        let groups =
+            [&mut self.position, &mut self.normal, &mut self.base_color, &mut self.irradiance, &mut self.radiance];
+        groups.into_iter().flatten().chain(&mut self.unshadowed).chain([&mut self.matte])
+    }
+
     /// Forgets all points, keeps the memory.
     pub fn clear(&mut self) {
         self.len = 0;
-        for plane in self.position.iter_mut().chain(&mut self.normal).chain(&mut self.irradiance) {
-            plane.clear();
-        }
+        self.planes().for_each(Vec::clear);
+        self.glossy.clear();
     }
 
-    /// Adds a point with irradiance 0.
-    pub fn push(&mut self, position_world: Vec3, n: Vec3) {
+    /// Makes room for `len` points (a multiple of the lane count), each of which must then be written.
+    pub fn reset(&mut self, len: usize) {
+        debug_assert_eq!(len % LANES, 0);
+        self.len = len;
+        self.planes().for_each(|p| p.resize(len, 0.0));
+        self.glossy.clear();
+    }
+
+    /// Points that fit without another allocation, and highlights.
+    pub fn capacity(&self) -> [usize; 2] {
+        [self.matte.capacity(), self.glossy.capacity()]
+    }
+
+    /// Makes room for as many.
+    pub fn reserve(&mut self, [points, glossy]: [usize; 2]) {
+        self.planes().for_each(|p| make_room(p, points));
+        make_room(&mut self.glossy, glossy);
+    }
+
+    /// Makes all irradiance zero.
+    pub fn darken(&mut self) {
+        self.irradiance.iter_mut().for_each(|p| p.fill(0.0));
+    }
+
+    /// Adds a point.
+    pub fn push(&mut self, s: &PointSurface) {
         for axis in 0..3 {
-            self.position[axis].push(position_world[axis]);
-            self.normal[axis].push(n[axis]);
+            self.position[axis].push(s.position_world[axis]);
+            self.normal[axis].push(s.normal[axis]);
+            self.base_color[axis].push(s.base_color[axis]);
+            self.radiance[axis].push(s.own[axis]);
         }
+        self.matte.push(s.matte);
         self.len += 1;
+    }
+
+    /// Writes point `i`.
+    pub fn set(&mut self, i: usize, s: &PointSurface) {
+        for axis in 0..3 {
+            self.position[axis][i] = s.position_world[axis];
+            self.normal[axis][i] = s.normal[axis];
+            self.base_color[axis][i] = s.base_color[axis];
+            self.radiance[axis][i] = s.own[axis];
+        }
+        self.matte[i] = s.matte;
     }
 
     /// Points in the batch.
@@ -57,9 +162,34 @@ impl PointBatch {
         self.len == 0
     }
 
-    /// Irradiance of point `i`, W/m².
+    /// The place of point `i`, world space.
+    pub fn position_world(&self, i: usize) -> Vec3 {
+        of_planes(&self.position, i)
+    }
+
+    /// Shading normal of point `i`.
+    pub fn normal(&self, i: usize) -> Vec3 {
+        of_planes(&self.normal, i)
+    }
+
+    /// Base colour of point `i`.
+    pub fn base_color(&self, i: usize) -> Vec3 {
+        of_planes(&self.base_color, i)
+    }
+
+    /// What turns the irradiance of point `i` into radiance; zero where it has no matte share.
+    pub fn albedo(&self, i: usize) -> Vec3 {
+        self.base_color(i) * self.matte[i]
+    }
+
+    /// Irradiance of point `i` by VPLs, W/m².
     pub fn irradiance(&self, i: usize) -> Vec3 {
-        Vec3::new(self.irradiance[0][i], self.irradiance[1][i], self.irradiance[2][i])
+        of_planes(&self.irradiance, i)
+    }
+
+    /// Direct and own radiance of point `i`.
+    pub fn radiance(&self, i: usize) -> Vec3 {
+        of_planes(&self.radiance, i)
     }
 
     /// Adds to the irradiance of point `i`.
@@ -72,22 +202,74 @@ impl PointBatch {
     /// Pads with points whose normal is zero: nothing lights them. Call once after the last `push`.
     pub fn pad(&mut self) {
         let padded = self.len.next_multiple_of(LANES);
-        for plane in self.position.iter_mut().chain(&mut self.normal).chain(&mut self.irradiance) {
-            plane.resize(padded, 0.0);
-        }
+        self.planes().for_each(|p| p.resize(padded, 0.0));
+    }
+}
+
+/// Lets a list grow to `capacity` without another allocation.
+pub(crate) fn make_room<T>(list: &mut Vec<T>, capacity: usize) {
+    if list.capacity() < capacity {
+        list.reserve_exact(capacity - list.len());
+    }
+}
+
+fn of_planes(planes: &[Vec<f32>; 3], i: usize) -> Vec3 {
+    Vec3::new(planes[0][i], planes[1][i], planes[2][i])
+}
+
+/// The lanes from `at` on of a padded plane.
+#[inline(always)]
+pub(crate) fn lane(plane: &[f32], at: usize) -> Lane {
+    plane[at..at + LANES].try_into().expect("padded")
+}
+
+/// The lanes from `at` on of three padded planes.
+#[inline(always)]
+pub(crate) fn lanes(planes: &[Vec<f32>; 3], at: usize) -> [Lane; 3] {
+    [lane(&planes[0], at), lane(&planes[1], at), lane(&planes[2], at)]
+}
+
+/// Writes lanes from `at` on.
+#[inline(always)]
+pub(crate) fn store(planes: &mut [Vec<f32>; 3], at: usize, values: &[Lane; 3]) {
+    for (plane, v) in planes.iter_mut().zip(values) {
+        plane[at..at + LANES].copy_from_slice(v);
+    }
+}
+
+/// False where nothing of the lanes from `at` on can show irradiance.
+#[inline(always)]
+fn any_matte(points: &PointBatch, at: usize) -> bool {
+    lane(&points.matte, at).iter().fold(0, |bits, m| bits | m.to_bits()) != 0
+}
+
+/// A VPL as the kernels read it.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Emitter {
+    position_world: Vec3,
+    normal_world: Vec3,
+    /// Flux / π.
+    intensity: Vec3,
+}
+
+impl From<&Vpl> for Emitter {
+    fn from(v: &Vpl) -> Self {
+        Self { position_world: v.position_world, normal_world: v.normal_world, intensity: v.flux * FRAC_1_PI }
     }
 }
 
 #[inline(always)]
-fn accumulate_body(points: &mut PointBatch, vpls: &[Vpl], geometry_term_max: f32) {
-    let lanes = |plane: &[f32], at: usize| -> [f32; LANES] { plane[at..at + LANES].try_into().expect("padded") };
+fn accumulate_body(points: &mut PointBatch, vpls: &[Emitter], geometry_term_max: f32) {
     for at in (0..points.len).step_by(LANES) {
-        let p: [[f32; LANES]; 3] = std::array::from_fn(|axis| lanes(&points.position[axis], at));
-        let n: [[f32; LANES]; 3] = std::array::from_fn(|axis| lanes(&points.normal[axis], at));
+        if !any_matte(points, at) {
+            store(&mut points.irradiance, at, &[[0.0; LANES]; 3]);
+            continue;
+        }
+        let (p, n) = (lanes(&points.position, at), lanes(&points.normal, at));
         let mut sum = [[0.0f32; LANES]; 3];
         for vpl in vpls {
             let y = vpl.position_world;
-            let flux = vpl.flux * FRAC_1_PI;
+            let flux = vpl.intensity;
             for lane in 0..LANES {
                 let to_vpl = Vec3::new(y.x - p[0][lane], y.y - p[1][lane], y.z - p[2][lane]);
                 let normal = Vec3::new(n[0][lane], n[1][lane], n[2][lane]);
@@ -97,9 +279,7 @@ fn accumulate_body(points: &mut PointBatch, vpls: &[Vpl], geometry_term_max: f32
                 sum[2][lane] += flux.z * g;
             }
         }
-        for axis in 0..3 {
-            points.irradiance[axis][at..at + LANES].copy_from_slice(&sum[axis]);
-        }
+        store(&mut points.irradiance, at, &sum);
     }
 }
 
@@ -107,7 +287,7 @@ dispatch! {
     /// Sets each point's irradiance to the sum over all VPLs, without visibility, in the order of the VPLs.
     ///
     /// Twin: `shaders/indirect.wgsl`.
-    pub fn accumulate_vpls => accumulate_body(points: &mut PointBatch, vpls: &[Vpl], geometry_term_max: f32)
+    pub fn accumulate_vpls => accumulate_body(points: &mut PointBatch, vpls: &[Emitter], geometry_term_max: f32)
 }
 
 /// As [`accumulate_body`] with each VPL's light weighed by [`crate::twin::vpl_maps::vpl_visibility`], in phases: geometry,
@@ -119,13 +299,15 @@ fn accumulate_shadowed_body<const SIZE: usize, const AREA: usize>(
     maps: &[f32],
     geometry_term_max: f32,
 ) {
-    let lanes = |plane: &[f32], at: usize| -> [f32; LANES] { plane[at..at + LANES].try_into().expect("padded") };
     let (maps, rest) = maps.as_chunks::<AREA>();
     assert!(maps.len() == vpls.len() && rest.is_empty() && SIZE * SIZE == AREA && AREA.is_power_of_two());
     let size = SIZE as u32;
     for at in (0..points.len).step_by(LANES) {
-        let p: [[f32; LANES]; 3] = std::array::from_fn(|axis| lanes(&points.position[axis], at));
-        let n: [[f32; LANES]; 3] = std::array::from_fn(|axis| lanes(&points.normal[axis], at));
+        if !any_matte(points, at) {
+            store(&mut points.irradiance, at, &[[0.0; LANES]; 3]);
+            continue;
+        }
+        let (p, n) = (lanes(&points.position, at), lanes(&points.normal, at));
         let mut sum = [[0.0f32; LANES]; 3];
         for (vpl, map) in vpls.iter().zip(maps) {
             let y = vpl.position_world;
@@ -183,9 +365,7 @@ fn accumulate_shadowed_body<const SIZE: usize, const AREA: usize>(
                 sum[2][lane] += flux.z * visible;
             }
         }
-        for axis in 0..3 {
-            points.irradiance[axis][at..at + LANES].copy_from_slice(&sum[axis]);
-        }
+        store(&mut points.irradiance, at, &sum);
     }
 }
 
@@ -248,10 +428,11 @@ mod tests {
             let Ok(level) = simd::resolve(choice) else { continue };
             let mut batch = PointBatch::default();
             for (p, n) in &points {
-                batch.push(*p, *n);
+                batch.push(&PointSurface { position_world: *p, normal: *n, matte: 1.0, ..PointSurface::default() });
             }
             batch.pad();
-            accumulate_vpls(level, &mut batch, &vpls, 3.0);
+            let emitters: Vec<Emitter> = vpls.iter().map(Emitter::from).collect();
+            accumulate_vpls(level, &mut batch, &emitters, 3.0);
             for (i, (p, n)) in points.iter().enumerate() {
                 let sum = vpls.iter().map(|v| vpl_irradiance(v, *p, *n, 3.0)).fold(Vec3::ZERO, |a, b| a + b);
                 assert_eq!(batch.irradiance(i), sum, "point {i} at {choice:?}");

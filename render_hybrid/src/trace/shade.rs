@@ -1,12 +1,12 @@
-//! Light at a surface: direct (Blinn-Phong under shadowed lights) and indirect (VPLs). The same code shades what the camera
-//! sees directly and what it sees in mirrors and through glass.
+//! Light at a surface: visibility of lights, and indirect light by VPLs. The same code shades what the camera sees directly and
+//! what it sees in mirrors and through glass.
 
-use catoptra_engine::{LightKind, Material, RenderScene, math};
+use catoptra_engine::{LightKind, RenderScene, math};
 use glam::Vec3;
 use std::f32::consts::{FRAC_1_PI, TAU};
 
 use super::{
-    points::{PointBatch, accumulate_shadowed_vpls, accumulate_vpls},
+    points::{Emitter, PointBatch, accumulate_shadowed_vpls, accumulate_vpls},
     sampling,
     surface::{NormalMatrices, Surface},
 };
@@ -36,6 +36,8 @@ pub struct FrameContext<'a> {
     pub maps: &'a ShadowMaps,
     /// VPLs with flux; empty where indirect light is off.
     pub vpls: &'a [Vpl],
+    /// The same as the kernels read them.
+    pub emitters: &'a [Emitter],
     /// Their shadow maps; empty unless their visibility comes from maps.
     pub vpl_maps: &'a VplMaps,
     /// Bound of the geometry term, 1/m²; +infinity: none.
@@ -44,6 +46,8 @@ pub struct FrameContext<'a> {
     pub settings: &'a RenderSettings,
     /// Resolved SIMD level.
     pub level: SimdLevel,
+    /// Number of the frame: what a thread keeps belongs to one frame.
+    pub serial: u64,
 }
 
 /// Fraction of light `light` that reaches the surface, in [0, 1].
@@ -98,25 +102,6 @@ pub fn shadow_ray(scene: &RenderScene, light: u32, s: &Surface, disc: glam::Vec2
     Some(Ray { origin, direction, t_min: 0.0, t_max })
 }
 
-/// Radiance towards `wo` under all lights: Lambert and Blinn-Phong, ambient, emitted. Without indirect light.
-///
-/// Twin: `shaders/direct.wgsl`.
-pub fn direct_light(ctx: &FrameContext, s: &Surface, wo: Vec3, pixel: u32, rays: &mut RayCounts) -> Vec3 {
-    let m = &ctx.scene.materials[s.material as usize];
-    if m.unlit {
-        return s.emission;
-    }
-    let ambient = s.base_color * ctx.scene.environment.ambient * (m.ambient * s.look.matte_weight());
-    let mut radiance = s.emission + ambient;
-    for light in 0..ctx.scene.lights.len() as u32 {
-        let unshadowed = reflected_from_light(ctx.scene, light, s, wo);
-        if unshadowed != Vec3::ZERO {
-            radiance += unshadowed * light_visibility(ctx, light, s, pixel, rays);
-        }
-    }
-    radiance
-}
-
 /// Radiance towards `wo` that an unshadowed light causes: (k_d · base_color/π · matte + k_s · lobe) · N·L · incident.
 #[inline]
 pub fn reflected_from_light(scene: &RenderScene, light: u32, s: &Surface, wo: Vec3) -> Vec3 {
@@ -132,39 +117,39 @@ pub fn reflected_from_light(scene: &RenderScene, light: u32, s: &Surface, wo: Ve
     brdf * incident * n_dot_l
 }
 
-/// Albedo that turns VPL irradiance into radiance: base_color/π · k_d · matte weight.
-#[inline]
-pub fn indirect_albedo(m: &Material, s: &Surface) -> Vec3 {
-    if m.unlit { Vec3::ZERO } else { s.base_color * (s.look.diffuse * s.look.matte_weight() * FRAC_1_PI) }
-}
-
 /// Sets the irradiance of every point of the batch (which must be padded) by a run of the frame's VPLs.
-/// * `surfaces`: the surfaces behind the points, in the same order; used where visibility is traced
-pub fn indirect_light<'s>(
+/// * `surfaces`: the surfaces behind the points, in the same order; used where visibility is traced, else may be empty
+pub fn indirect_light(
     ctx: &FrameContext,
     run: std::ops::Range<usize>,
     points: &mut PointBatch,
-    surfaces: impl Iterator<Item = &'s Surface> + Clone,
+    surfaces: &[Surface],
     scratch: &mut VplRays,
     rays: &mut RayCounts,
 ) {
     let shadows = ctx.settings.vpl.map_or(VplShadows::Off, |v| v.shadows);
     let vpls = &ctx.vpls[run.clone()];
     if vpls.is_empty() || points.is_empty() {
-        return;
+        return points.darken();
     }
     match shadows {
-        VplShadows::Off => return accumulate_vpls(ctx.level, points, vpls, ctx.geometry_term_max),
+        VplShadows::Off => {
+            return accumulate_vpls(ctx.level, points, &ctx.emitters[run], ctx.geometry_term_max);
+        }
         VplShadows::Maps => {
             let (size, area) = (ctx.vpl_maps.size, (ctx.vpl_maps.size * ctx.vpl_maps.size) as usize);
             let maps = &ctx.vpl_maps.texels[run.start * area..run.end * area];
             return accumulate_shadowed_vpls(ctx.level, points, vpls, size, maps, ctx.geometry_term_max);
         }
-        VplShadows::Traced => {}
+        VplShadows::Traced => points.darken(),
     }
     for vpl in vpls {
         scratch.clear();
-        for (i, s) in surfaces.clone().enumerate() {
+        for (i, s) in surfaces.iter().enumerate() {
+            // Points without a matte share receive nothing.
+            if points.albedo(i) == Vec3::ZERO {
+                continue;
+            }
             let irradiance = vpl_irradiance(vpl, s.position_world, s.n_shading, ctx.geometry_term_max);
             let target = vpl.position_world + vpl.normal_world * vpl.error;
             let to_vpl = target - s.position_world;

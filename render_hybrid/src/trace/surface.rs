@@ -33,6 +33,23 @@ pub struct Surface {
 }
 
 impl Surface {
+    /// No place at all.
+    pub(crate) fn nowhere() -> Self {
+        Self {
+            position_world: Vec3::ZERO,
+            error: 0.0,
+            n_geometric: Vec3::ZERO,
+            n_shading: Vec3::ZERO,
+            front: false,
+            base_color: Vec3::ZERO,
+            emission: Vec3::ZERO,
+            look: catoptra_engine::Material::default().look(),
+            material: 0,
+            instance_id: 0,
+            primitive_id: 0,
+        }
+    }
+
     /// A start for rays that leave to the side of `direction`, clear of the surface itself.
     ///
     /// Source: the idea of Wächter & Binder, "A Fast and Robust Method for Avoiding Self-Intersection", Ray Tracing Gems,
@@ -71,6 +88,22 @@ impl NormalMatrices {
         self.0.clear();
         self.0.extend(scene.instances.iter().map(|i| normal_from_object(i.world_from_object.matrix3)));
     }
+}
+
+impl NormalMatrices {
+    /// The matrix of an instance.
+    pub(crate) fn of(&self, instance_id: u32) -> Mat3 {
+        self.0[instance_id as usize]
+    }
+}
+
+/// Outward normal of a triangle with corners `p` in object space, of moderate length; zero where it has no area.
+pub(crate) fn outward(normal_matrix: &Mat3, p: [Vec3; 3]) -> Vec3 {
+    // Edges are scaled before the cross product for the same reason as the matrices.
+    let (e1, e2) = (p[1] - p[0], p[2] - p[0]);
+    let edge = e1.abs().max(e2.abs()).max_element();
+    let scale = if edge > 0.0 { 1.0 / edge } else { 1.0 };
+    *normal_matrix * (e1 * scale).cross(e2 * scale)
 }
 
 /// Cofactor matrix times the determinant's sign.

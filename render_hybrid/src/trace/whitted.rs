@@ -9,15 +9,20 @@ use catoptra_engine::Material;
 use glam::Vec3;
 
 use super::{
+    direct,
+    facet::Facets,
     media::{self, MediumStack},
-    points::PointBatch,
+    points::{Glossy, PointBatch, make_room},
     shade::{self, FrameContext, VplRays},
-    surface::{PixelCone, Surface, surface_seen},
+    surface::{PixelCone, Surface},
 };
 use crate::{
     accel::{Hit, Ray},
     output::RayCounts,
-    twin::shading::{beer_lambert, fresnel_dielectric, reflect, refract, schlick},
+    twin::{
+        gbuffer,
+        shading::{beer_lambert_of_ln, fresnel_dielectric, ln_color, reflect, refract, schlick},
+    },
 };
 
 /// A ray on its way, and what it will be worth.
@@ -53,11 +58,71 @@ pub struct MaskedPixel {
 pub struct WhittedScratch {
     wave: Vec<Branch>,
     next: Vec<Branch>,
+    /// Rays of the wave, alike ones together, and their hits.
     rays: Vec<Ray>,
     hits: Vec<Hit>,
-    shaded: Vec<(u32, Vec3, Vec3, Surface)>,
+    /// Where among them each branch's are.
+    place_of: Vec<u32>,
+    /// Slot and weight of each point.
+    shaded: Vec<(u32, Vec3)>,
+    surfaces: Vec<Surface>,
     points: PointBatch,
     vpl_rays: VplRays,
+    absorption: Absorption,
+    facets: Facets,
+}
+
+impl WhittedScratch {
+    /// Rays of a wave that fit without another allocation, and what the shaded points have room for.
+    pub fn capacity(&self) -> [usize; 3] {
+        let [points, glossy] = self.points.capacity();
+        [self.wave.capacity().max(self.next.capacity()), points.max(self.shaded.capacity()), glossy]
+    }
+
+    /// Makes room for as many.
+    pub fn reserve(&mut self, [wave, points, glossy]: [usize; 3]) {
+        make_room(&mut self.wave, wave);
+        make_room(&mut self.next, wave);
+        make_room(&mut self.rays, wave);
+        make_room(&mut self.hits, wave);
+        make_room(&mut self.place_of, wave);
+        make_room(&mut self.shaded, points);
+        make_room(&mut self.surfaces, points);
+        self.points.reserve([points, glossy]);
+    }
+}
+
+impl WhittedScratch {
+    /// Rays of the wave.
+    pub(super) fn wave_len(&self) -> usize {
+        self.wave.len()
+    }
+
+    /// Pixel (its number in the list) and weight in the greatest channel of each ray of the wave.
+    pub(super) fn weights(&self) -> impl Iterator<Item = (usize, f32)> {
+        self.wave.iter().map(|b| (b.slot as usize, b.weight.max_element()))
+    }
+
+    /// Ends the rays of the wave that `keep` refuses by pixel and weight.
+    pub(super) fn keep(&mut self, keep: impl Fn(usize, f32) -> bool) {
+        self.wave.retain(|b| keep(b.slot as usize, b.weight.max_element()));
+    }
+}
+
+/// Beer-Lambert with the logarithms of the glass that was met last.
+#[derive(Clone, Debug, Default)]
+struct Absorption {
+    color: Vec3,
+    ln: Vec3,
+}
+
+impl Absorption {
+    fn transmittance(&mut self, m: &Material, distance: f32) -> Vec3 {
+        if self.color != m.attenuation_color {
+            (self.color, self.ln) = (m.attenuation_color, ln_color(m.attenuation_color));
+        }
+        beer_lambert_of_ln(self.ln, m.attenuation_distance, distance)
+    }
 }
 
 /// Traces all masked pixels; `radiance[i]` is set to what mirror and glass add to pixel i of the list.
@@ -68,10 +133,17 @@ pub fn trace(
     radiance: &mut Vec<Vec3>,
     counts: &mut RayCounts,
 ) {
+    begin(ctx, pixels, scratch, radiance);
+    while !scratch.wave.is_empty() {
+        trace_wave(ctx, pixels, scratch, radiance, counts);
+    }
+}
+
+/// Starts the first wave of all masked pixels.
+pub(super) fn begin(ctx: &FrameContext, pixels: &[MaskedPixel], s: &mut WhittedScratch, radiance: &mut Vec<Vec3>) {
     radiance.clear();
     radiance.resize(pixels.len(), Vec3::ZERO);
-    let s = scratch;
-    let cone = PixelCone::of(&ctx.scene.camera, ctx.settings.height);
+    s.facets.begin(ctx);
     let eye = ctx.scene.camera.world_from_view.translation;
     s.wave.clear();
     for (slot, p) in pixels.iter().enumerate() {
@@ -87,37 +159,93 @@ pub fn trace(
         };
         spawn(ctx, &arriving, &p.surface, &mut s.wave);
     }
-    while !s.wave.is_empty() {
-        s.rays.clear();
-        s.rays.extend(s.wave.iter().map(|b| b.ray));
-        s.hits.clear();
-        s.hits.resize(s.rays.len(), Hit::MISS);
-        ctx.accel.closest_hits(&s.rays, &mut s.hits);
-        s.next.clear();
-        s.shaded.clear();
-        for (branch, hit) in s.wave.iter().zip(&s.hits) {
-            if branch.refraction {
-                counts.refraction += 1
-            } else {
-                counts.reflection += 1
-            }
-            let mut branch = *branch;
-            if let Some(medium) = branch.inside.current(ctx.scene) {
-                let m = &ctx.scene.materials[ctx.scene.instances[medium as usize].material as usize];
-                branch.weight *= beer_lambert(m.attenuation_color, m.attenuation_distance, hit.t);
-            }
-            if !hit.is_hit() {
-                radiance[branch.slot as usize] += branch.weight * ctx.scene.environment.background;
-                continue;
-            }
-            branch.way += hit.t;
-            let surface = surface_seen(ctx.scene, ctx.normals, &branch.ray, hit, cone.at(branch.way));
-            s.shaded.push((branch.slot, branch.weight, -branch.ray.direction, surface));
-            spawn(ctx, &branch, &surface, &mut s.next);
+}
+
+/// Traces and shades the rays of the wave; those that they spawn are the next one.
+pub(super) fn trace_wave(
+    ctx: &FrameContext,
+    pixels: &[MaskedPixel],
+    s: &mut WhittedScratch,
+    radiance: &mut [Vec3],
+    counts: &mut RayCounts,
+) {
+    let cone = PixelCone::of(&ctx.scene.camera, ctx.settings.height);
+    trace_sorted(ctx, s);
+    s.next.clear();
+    s.shaded.clear();
+    s.surfaces.clear();
+    s.points.clear();
+    for (branch, &place) in s.wave.iter().zip(&s.place_of) {
+        let hit = &s.hits[place as usize];
+        if branch.refraction {
+            counts.refraction += 1
+        } else {
+            counts.reflection += 1
         }
-        shade_wave(ctx, pixels, s, radiance, counts);
-        std::mem::swap(&mut s.wave, &mut s.next);
+        let mut branch = *branch;
+        if let Some(medium) = branch.inside.current(ctx.scene) {
+            let m = &ctx.scene.materials[ctx.scene.instances[medium as usize].material as usize];
+            branch.weight *= s.absorption.transmittance(m, hit.t);
+        }
+        if !hit.is_hit() {
+            radiance[branch.slot as usize] += branch.weight * ctx.scene.environment.background;
+            continue;
+        }
+        branch.way += hit.t;
+        let surface = s.facets.surface(ctx, &branch.ray, hit, cone.at(branch.way));
+        let point = gbuffer::point_of(ctx, &surface);
+        let m = &ctx.scene.materials[surface.material as usize];
+        let look = &surface.look;
+        let glossy = look.specular != Vec3::ZERO && !m.unlit;
+        // Pure mirror and glass show no light of their own.
+        if glossy || point.matte * point.base_color != Vec3::ZERO || point.own != Vec3::ZERO {
+            if glossy {
+                let (point, wo) = (s.shaded.len() as u32, -branch.ray.direction);
+                s.points.glossy.push(Glossy { point, specular: look.specular, shininess: look.shininess, wo });
+            }
+            s.points.push(&point);
+            s.shaded.push((branch.slot, branch.weight));
+            s.surfaces.push(surface);
+        }
+        spawn(ctx, &branch, &surface, &mut s.next);
     }
+    shade_wave(ctx, pixels, s, radiance, counts);
+    std::mem::swap(&mut s.wave, &mut s.next);
+}
+
+/// Kinds of rays that are worth tracing in one packet: by the signs and the main axis of their direction, and how they came
+/// about.
+const KINDS: usize = 48;
+
+fn kind(b: &Branch) -> usize {
+    let d = b.ray.direction;
+    let a = d.abs();
+    let axis = if a.x >= a.y && a.x >= a.z { 0 } else { 1 + usize::from(a.y < a.z) };
+    let signs = usize::from(d.x < 0.0) + 2 * usize::from(d.y < 0.0) + 4 * usize::from(d.z < 0.0);
+    24 * usize::from(b.refraction) + 8 * axis + signs
+}
+
+/// Traces the wave's rays in an order in which neighbours are alike (a counting sort). A ray's hit does not depend on it.
+fn trace_sorted(ctx: &FrameContext, s: &mut WhittedScratch) {
+    let mut first = [0u32; KINDS + 1];
+    s.place_of.clear();
+    for b in &s.wave {
+        let kind = kind(b);
+        s.place_of.push(kind as u32);
+        first[kind + 1] += 1;
+    }
+    for k in 0..KINDS {
+        first[k + 1] += first[k];
+    }
+    s.rays.resize(s.wave.len(), Ray::new(Vec3::ZERO, Vec3::ZERO));
+    s.hits.resize(s.wave.len(), Hit::MISS);
+    for (b, place) in s.wave.iter().zip(&mut s.place_of) {
+        let next = &mut first[*place as usize];
+        *place = *next;
+        s.rays[*next as usize] = b.ray;
+        *next += 1;
+    }
+    ctx.accel.closest_hits(&s.rays, &mut s.hits);
 }
 
 /// Adds local light of all hits of a wave: matte, highlight, emitted.
@@ -128,24 +256,13 @@ fn shade_wave(
     radiance: &mut [Vec3],
     counts: &mut RayCounts,
 ) {
-    s.points.clear();
-    for (_, _, _, surface) in &s.shaded {
-        s.points.push(surface.position_world, surface.n_shading);
-    }
     s.points.pad();
-    shade::indirect_light(
-        ctx,
-        0..ctx.vpls.len(),
-        &mut s.points,
-        s.shaded.iter().map(|h| &h.3),
-        &mut s.vpl_rays,
-        counts,
-    );
-    for (i, (slot, weight, wo, surface)) in s.shaded.iter().enumerate() {
-        let m = &ctx.scene.materials[surface.material as usize];
-        let direct = shade::direct_light(ctx, surface, *wo, pixels[*slot as usize].pixel, counts);
-        let indirect = shade::indirect_albedo(m, surface) * s.points.irradiance(i);
-        radiance[*slot as usize] += *weight * (direct + indirect);
+    shade::indirect_light(ctx, 0..ctx.vpls.len(), &mut s.points, &s.surfaces, &mut s.vpl_rays, counts);
+    let shaded = &s.shaded;
+    direct::direct_light(ctx, &mut s.points, &s.surfaces, |i| pixels[shaded[i].0 as usize].pixel, counts);
+    for (i, (slot, weight)) in s.shaded.iter().enumerate() {
+        let light = s.points.radiance(i) + s.points.albedo(i) * s.points.irradiance(i);
+        radiance[*slot as usize] += *weight * light;
     }
 }
 

@@ -2,8 +2,10 @@
 //! `shaders/shared/*.wgsl`; tests/twins.rs evaluates both over tables of inputs.
 
 pub mod certified;
+pub mod gbuffer;
 pub mod interleave;
 pub mod moments;
+pub mod scan;
 pub mod shading;
 pub mod shadow;
 pub mod tile;

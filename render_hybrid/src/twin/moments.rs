@@ -1,128 +1,191 @@
-//! Shadow moments on the CPU: depth by rays through texel centres, then a separable 7x7 Gaussian.
+//! Shadow moments on the CPU: depth by scan conversion, then a separable 7x7 Gaussian while the rows are hot.
 //!
 //! Twins: `shaders/moments.wgsl`, `shaders/moments_blur.wgsl`.
 
 use catoptra_engine::RenderScene;
 use rayon::prelude::*;
+use std::sync::Mutex;
 
-use super::shadow::{GAUSSIAN_7, ShadowMaps, ShadowPlan, ShadowView, moments_of};
+use super::{
+    scan::{BLOCK, ScanList, ScanView, TileBuffers},
+    shadow::{GAUSSIAN_7, ShadowMaps, ShadowPlan, moments_of},
+    tile::TileRect,
+};
 use crate::{
-    accel::{Accel, Hit, Ray},
+    accel::Accel,
     settings::{GlassShadows, RenderSettings, ShadowFilter, Shadows, SimdLevel},
     simd::dispatch,
+    still::CastBy,
+    trace::points::make_room,
 };
 
-/// Rows of texels that one task makes; rays go in 4x4 blocks, so it is a multiple of 4.
-const BAND: usize = 8;
+/// Rows of texels that one task makes. Higher: fewer rows made twice at its rims, worse sharing between threads.
+const BAND: usize = 64;
 
-/// Renders and filters (or, for certified shadows, bounds) all views of `plan` into `maps`, re-using its memory. Returns the number of rays.
+/// Rows beside a row that its blur reads.
+const REACH: usize = 3;
+
+/// Memory kept between frames.
+#[derive(Debug, Default)]
+pub struct MomentsScratch {
+    list: ScanList,
+    /// What each map was made of.
+    made_of: Vec<CastBy>,
+    /// One a thread.
+    bands: Vec<Mutex<BandScratch>>,
+}
+
+impl MomentsScratch {
+    /// Somebody else wrote the maps.
+    pub fn forget(&mut self) {
+        self.made_of.clear();
+    }
+}
+
+#[derive(Debug, Default)]
+struct BandScratch {
+    candidates: Vec<u32>,
+    depths: TileBuffers,
+    /// Unfiltered moments of one row.
+    row: Vec<[f32; 4]>,
+    /// Rows blurred sideways: a ring of seven.
+    ring: [Vec<[f32; 4]>; 2 * REACH + 1],
+}
+
+/// Renders and filters (or, for certified shadows, bounds) all views of `plan` into `maps`, re-using its memory and the maps
+/// whose light and casters are as before; `plan` gets the old one. Returns the number of texels made.
 pub fn render_moments(
     maps: &mut ShadowMaps,
-    scratch: &mut Vec<[f32; 4]>,
-    plan: ShadowPlan,
+    scratch: &mut MomentsScratch,
+    plan: &mut ShadowPlan,
     scene: &RenderScene,
     accel: &Accel,
     settings: &RenderSettings,
     level: SimdLevel,
 ) -> u64 {
-    maps.plan = plan;
+    std::mem::swap(&mut maps.plan, plan);
+    scratch.made_of.resize_with(maps.plan.views.len(), CastBy::default);
     maps.maps.resize_with(maps.plan.views.len(), Vec::new);
     let certified = settings.shadows == Shadows::Certified;
     maps.pyramids.resize_with(if certified { maps.plan.views.len() } else { 0 }, Default::default);
-    let mut rays = 0;
+    scratch.bands.resize_with(rayon::current_num_threads(), Mutex::default);
+    // Clear glass is looked through.
+    let casts = |instance: u32| {
+        let m = &scene.materials[scene.instances[instance as usize].material as usize];
+        settings.glass_shadows == GlassShadows::Opaque || m.transmission <= 0.0
+    };
+    let mut texels = 0;
     for (i, (view, map)) in maps.plan.views.iter().zip(&mut maps.maps).enumerate() {
         let size = view.size as usize;
         map.resize(size * size, [1.0; 4]);
-        rays += depth_pass(view, map, scene, accel, settings);
+        let scan = ScanView::of_shadow(view);
+        scratch.list.choose(&scan, scene, accel, casts);
+        let key = (*view, settings.moments, certified);
+        if scratch.made_of[i].update(key, scene, accel, scratch.list.instances()) {
+            continue;
+        }
+        texels += (size * size) as u64;
+        scratch.list.set_up(&scan, scene);
+        let pass = Pass { scan, list: &scratch.list, accel, level, far: view.far, size };
+        // Certified shadows want depth itself.
+        let filter = if certified { None } else { Some(settings.moments.filter) };
+        let bands = &scratch.bands;
+        map.par_chunks_mut(size * BAND).enumerate().with_max_len(1).for_each(|(band, rows)| {
+            let own = rayon::current_thread_index().unwrap_or(0) % bands.len();
+            let mut scratch = bands[own].lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+            pass.band(&mut scratch, band * BAND, rows, filter);
+        });
         if certified {
             maps.pyramids[i].build(size, map.iter().map(|m| m[0]));
-        } else {
-            blur_7x7(level, map, scratch, size);
         }
     }
-    rays
+    // Which thread gets which band is chance; memory for it must not be.
+    let lists = || scratch.bands.iter().map(|b| b.lock().unwrap_or_else(std::sync::PoisonError::into_inner));
+    let most = lists().map(|b| b.candidates.capacity()).max().unwrap_or(0);
+    lists().for_each(|mut b| make_room(&mut b.candidates, most));
+    texels
 }
 
-/// Fills `map` with [`moments_of`] the nearest surface through each texel's centre; of depth 1 where there is none.
-fn depth_pass(
-    view: &ShadowView,
-    map: &mut [[f32; 4]],
-    scene: &RenderScene,
-    accel: &Accel,
-    settings: &RenderSettings,
-) -> u64 {
-    let size = view.size as usize;
-    // right_scaled = unit/half; unit·half = right_scaled / |right_scaled|².
-    let right = view.right_scaled / view.right_scaled.length_squared();
-    let up = view.up_scaled / view.up_scaled.length_squared();
-    let texel_ray = |x: usize, y: usize| {
-        let across = right * ((2 * x + 1) as f32 / size as f32 - 1.0) + up * (1.0 - (2 * y + 1) as f32 / size as f32);
-        // Directions of length such that t is the distance along the view's axis.
-        if view.perspective > 0.5 {
-            Ray { origin: view.origin_world, direction: view.forward + across, t_min: 0.0, t_max: view.far }
-        } else {
-            Ray { origin: view.origin_world + across, direction: view.forward, t_min: 0.0, t_max: view.far }
-        }
-    };
-    // Certified shadows want depth itself.
-    let filter = match settings.shadows {
-        Shadows::Certified => ShadowFilter::Vsm,
-        _ => settings.moments.filter,
-    };
-    let casts = |hit: &Hit| {
-        let m = &scene.materials[scene.instances[hit.instance_id as usize].material as usize];
-        settings.glass_shadows == GlassShadows::Opaque || m.transmission <= 0.0
-    };
-    map.par_chunks_mut(size * BAND)
-        .enumerate()
-        .map_init(
-            || (Vec::new(), Vec::new(), Vec::new()),
-            |(rays, hits, places), (band, rows)| {
-                let (y0, height) = (band * BAND, rows.len() / size);
-                rays.clear();
-                places.clear();
-                // 4x4 blocks: neighbours in the array are neighbours on the map.
-                for by in (0..height).step_by(4) {
-                    for bx in (0..size).step_by(4) {
-                        for y in by..(by + 4).min(height) {
-                            for x in bx..(bx + 4).min(size) {
-                                rays.push(texel_ray(x, y0 + y));
-                                places.push(y * size + x);
-                            }
-                        }
-                    }
-                }
-                hits.clear();
-                hits.resize(rays.len(), Hit::MISS);
-                accel.closest_hits(rays, hits);
-                let mut count = rays.len() as u64;
-                for ((ray, hit), place) in rays.iter().zip(hits.iter_mut()).zip(places.iter()) {
-                    // Clear glass is looked through.
-                    while hit.is_hit() && !casts(hit) {
-                        *hit = accel.closest_hit(&Ray { t_min: hit.t, ..*ray });
-                        count += 1;
-                    }
-                    let z = if hit.is_hit() { (hit.t / view.far).min(1.0) } else { 1.0 };
-                    rows[*place] = moments_of(filter, z);
-                }
-                count
-            },
-        )
-        .sum()
+/// One view's pass.
+struct Pass<'a> {
+    scan: ScanView,
+    list: &'a ScanList,
+    accel: &'a Accel,
+    level: SimdLevel,
+    far: f32,
+    size: usize,
 }
 
-/// Separable Gaussian of 7 taps over a square map, clamped at the rim.
-pub fn blur_7x7(level: SimdLevel, map: &mut [[f32; 4]], scratch: &mut Vec<[f32; 4]>, size: usize) {
-    scratch.resize(size * size, [0.0; 4]);
-    scratch.par_chunks_mut(size).zip(map.par_chunks(size)).for_each(|(out, row)| blur_row(level, out, row));
-    let source: &[[f32; 4]] = scratch;
-    map.par_chunks_mut(size).enumerate().for_each(|(y, out)| {
-        let row = |dy: isize| {
-            let y = (y as isize + dy).clamp(0, size as isize - 1) as usize;
-            &source[y * size..(y + 1) * size]
+impl Pass<'_> {
+    /// Makes the rows from `y0` on; `filter` `None`: unfiltered depths.
+    fn band(&self, s: &mut BandScratch, y0: usize, rows: &mut [[f32; 4]], filter: Option<ShadowFilter>) {
+        let _span = tracing::info_span!("moments band").entered();
+        let size = self.size;
+        let height = rows.len() / size;
+        let reach = if filter.is_some() { REACH } else { 0 };
+        let (top, bottom) = (y0.saturating_sub(reach), (y0 + height + reach).min(size));
+        self.list.of_rows(top as u32, bottom as u32 - 1, &mut s.candidates);
+        let rect = TileRect { x: 0, y: top as u32, width: size as u32, height: (bottom - top) as u32 };
+        s.depths.fill(self.level, &self.scan, self.list, &s.candidates, self.accel, rect);
+        let depths = |buffers: &TileBuffers, y: usize| {
+            let first = (y - top) * buffers.runs;
+            first..first + buffers.runs
         };
-        blur_column(level, out, [row(-3), row(-2), row(-1), row(0), row(1), row(2), row(3)]);
-    });
+        let parallel = !self.scan.perspective;
+        let Some(filter) = filter else {
+            for (y, out) in rows.chunks_mut(size).enumerate() {
+                let row = &s.depths.nearness[depths(&s.depths, y0 + y)];
+                moments_row(self.level, out, row, ShadowFilter::Vsm, parallel, self.far);
+            }
+            return;
+        };
+        s.row.resize(size, [0.0; 4]);
+        s.ring.iter_mut().for_each(|r| r.resize(size, [0.0; 4]));
+        let ring = s.ring.len();
+        for y in top..bottom {
+            let row = &s.depths.nearness[depths(&s.depths, y)];
+            moments_row(self.level, &mut s.row, row, filter, parallel, self.far);
+            blur_row(self.level, &mut s.ring[y % ring], &s.row);
+            // The row that now has all seven of its neighbours; at the map's lower rim, all that are left.
+            let last = if y + 1 == size { y + 1 } else { (y + 1).saturating_sub(REACH) };
+            for done in (y.saturating_sub(REACH)..last).filter(|d| (y0..y0 + height).contains(d)) {
+                let tap = |k: usize| &s.ring[(done + k).saturating_sub(REACH).min(size - 1) % ring][..];
+                let out = &mut rows[(done - y0) * size..][..size];
+                blur_column(self.level, out, [tap(0), tap(1), tap(2), tap(3), tap(4), tap(5), tap(6)]);
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn moments_row_body(out: &mut [[f32; 4]], nearness: &[[f32; BLOCK]], filter: ShadowFilter, parallel: bool, far: f32) {
+    let mut depth = [0.0f32; BLOCK];
+    for (out, nearness) in out.chunks_mut(BLOCK).zip(nearness) {
+        for lane in 0..BLOCK {
+            depth[lane] = if parallel { -nearness[lane] / far } else { 1.0 / (nearness[lane] * far) };
+        }
+        let mut moments = [[0.0f32; BLOCK]; 4];
+        for lane in 0..BLOCK {
+            let m = moments_of(filter, depth[lane]);
+            for c in 0..4 {
+                moments[c][lane] = m[c];
+            }
+        }
+        for (lane, o) in out.iter_mut().enumerate() {
+            *o = [moments[0][lane], moments[1][lane], moments[2][lane], moments[3][lane]];
+        }
+    }
+}
+
+dispatch! {
+    /// [`moments_of`] a row of nearness values; of depth 1 where there is nothing.
+    fn moments_row => moments_row_body(
+        out: &mut [[f32; 4]],
+        nearness: &[[f32; BLOCK]],
+        filter: ShadowFilter,
+        parallel: bool,
+        far: f32,
+    )
 }
 
 /// The seven taps in one fixed order: outermost pair first.
@@ -136,30 +199,33 @@ fn seven_taps(t: [f32; 7]) -> f32 {
 fn blur_row_body(out: &mut [[f32; 4]], row: &[[f32; 4]]) {
     let n = row.len();
     for x in (0..3.min(n)).chain(n.saturating_sub(3).max(3.min(n))..n) {
-        let tap = |k: usize| row[(x + k).saturating_sub(3).min(n - 1)];
-        out[x] = std::array::from_fn(|c| seven_taps(std::array::from_fn(|k| tap(k)[c])));
+        for c in 0..4 {
+            let tap = |k: usize| row[(x + k).saturating_sub(3).min(n - 1)][c];
+            out[x][c] = seven_taps([tap(0), tap(1), tap(2), tap(3), tap(4), tap(5), tap(6)]);
+        }
     }
-    for (o, w) in out[3.min(n)..].iter_mut().zip(row.windows(7)) {
-        *o = std::array::from_fn(|c| seven_taps([w[0][c], w[1][c], w[2][c], w[3][c], w[4][c], w[5][c], w[6][c]]));
+    if n < 7 {
+        return;
+    }
+    // Flat: four channels side by side, so that a tap is four numbers on.
+    let (out, row) = (out.as_flattened_mut(), row.as_flattened());
+    let len = 4 * (n - 6);
+    let out = &mut out[12..12 + len];
+    let tap = |k: usize| &row[4 * k..4 * k + len];
+    let t = [tap(0), tap(1), tap(2), tap(3), tap(4), tap(5), tap(6)];
+    for i in 0..len {
+        out[i] = seven_taps([t[0][i], t[1][i], t[2][i], t[3][i], t[4][i], t[5][i], t[6][i]]);
     }
 }
 
 #[inline(always)]
 fn blur_column_body(out: &mut [[f32; 4]], rows: [&[[f32; 4]]; 7]) {
+    let out = out.as_flattened_mut();
     let n = out.len();
-    let rows = rows.map(|r| &r[..n]);
-    for x in 0..n {
-        for c in 0..4 {
-            out[x][c] = seven_taps([
-                rows[0][x][c],
-                rows[1][x][c],
-                rows[2][x][c],
-                rows[3][x][c],
-                rows[4][x][c],
-                rows[5][x][c],
-                rows[6][x][c],
-            ]);
-        }
+    let flat = |k: usize| &rows[k].as_flattened()[..n];
+    let t = [flat(0), flat(1), flat(2), flat(3), flat(4), flat(5), flat(6)];
+    for i in 0..n {
+        out[i] = seven_taps([t[0][i], t[1][i], t[2][i], t[3][i], t[4][i], t[5][i], t[6][i]]);
     }
 }
 
@@ -179,8 +245,17 @@ mod tests {
                 [v(37, 101), v(17, 89), v(5, 43), v(3, 71)]
             })
             .collect();
-        let mut blurred = map.clone();
-        blur_7x7(SimdLevel::Portable, &mut blurred, &mut Vec::new(), size);
+        let row = |y: usize| {
+            let mut out = vec![[0.0; 4]; size];
+            blur_row(SimdLevel::Portable, &mut out, &map[y * size..(y + 1) * size]);
+            out
+        };
+        let sideways: Vec<_> = (0..size).map(row).collect();
+        let mut blurred = vec![[0.0; 4]; size * size];
+        for y in 0..size {
+            let taps = std::array::from_fn(|k| sideways[(y + k).saturating_sub(3).min(size - 1)].as_slice());
+            blur_column(SimdLevel::Portable, &mut blurred[y * size..(y + 1) * size], taps);
+        }
         let weight = |k: i32| GAUSSIAN_7[(3 - k.abs()) as usize];
         for y in 0..size as i32 {
             for x in 0..size as i32 {

@@ -83,8 +83,26 @@ pub fn beer_lambert(attenuation_color: Vec3, attenuation_distance: f32, distance
     if attenuation_distance == f32::INFINITY || attenuation_color == Vec3::ONE || distance <= 0.0 {
         return Vec3::ONE;
     }
+    beer_lambert_of_ln(ln_color(attenuation_color), attenuation_distance, distance)
+}
+
+/// Logarithm of each channel, at most 0.
+#[inline]
+pub fn ln_color(color: Vec3) -> Vec3 {
+    let ln = |c: f32| if c < 1.0 { math::ln(c) } else { 0.0 };
+    Vec3::new(ln(color.x), ln(color.y), ln(color.z))
+}
+
+/// [`beer_lambert`] where [`ln_color`] is known: e^(distance/attenuation_distance · ln c), whose smallest value is nothing to
+/// see.
+#[inline]
+pub fn beer_lambert_of_ln(ln: Vec3, attenuation_distance: f32, distance: f32) -> Vec3 {
+    if attenuation_distance == f32::INFINITY || ln == Vec3::ZERO || distance <= 0.0 {
+        return Vec3::ONE;
+    }
     let x = distance / attenuation_distance;
-    Vec3::new(math::pow(attenuation_color.x, x), math::pow(attenuation_color.y, x), math::pow(attenuation_color.z, x))
+    let channel = |ln: f32| if ln < 0.0 { math::exp_moderate((ln * x).max(-80.0)) } else { 1.0 };
+    Vec3::new(channel(ln.x), channel(ln.y), channel(ln.z))
 }
 
 #[cfg(test)]

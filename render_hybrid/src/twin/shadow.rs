@@ -80,15 +80,17 @@ pub fn shadow_project(view: &ShadowView, point_world: Vec3) -> ShadowCoord {
 /// Returns visibility in [0, 1], exactly 1 where `t <= moments.x`. Finite in, finite out.
 /// Twin: `shaders/shared/shadow.wgsl` (tests/twins.rs).
 /// Source: Donnelly & Lauritzen, "Variance Shadow Maps", I3D 2006.
-#[inline]
+#[inline(always)]
 pub fn chebyshev_upper_bound(moments: Vec2, t: f32, min_variance: f32, light_bleed_reduction: f32) -> f32 {
-    if t <= moments.x {
-        return 1.0;
-    }
-    let variance = (moments.y - moments.x * moments.x).max(min_variance);
+    // Comparisons rather than f32::max: they are single instructions in the wide kernels.
+    let variance = moments.y - moments.x * moments.x;
+    let variance = if variance > min_variance { variance } else { min_variance };
     let d = t - moments.x;
     let p = variance / (variance + d * d);
-    ((p - light_bleed_reduction) / (1.0 - light_bleed_reduction)).clamp(0.0, 1.0)
+    let p = (p - light_bleed_reduction) / (1.0 - light_bleed_reduction);
+    let p = if p > 0.0 { p } else { 0.0 };
+    let p = if t <= moments.x { 1.0 } else { p };
+    if p < 1.0 { p } else { 1.0 }
 }
 
 /// Exponents of the positive and the negative warp. Higher: less bleeding, more noise; e^(2·40) is within f32's range with
@@ -99,22 +101,23 @@ pub const EVSM_EXPONENTS: [f32; 2] = [40.0, 5.0];
 ///
 /// Twin: `shaders/shared/shadow.wgsl` (tests/twins_light.rs).
 /// Source: Lauritzen & McCool, "Layered Variance Shadow Maps", GI 2008.
-#[inline]
+#[inline(always)]
 pub fn evsm_warp(z: f32) -> Vec2 {
     let z = clamp_depth(z) * 2.0 - 1.0;
-    Vec2::new(math::exp(EVSM_EXPONENTS[0] * z), -math::exp(-EVSM_EXPONENTS[1] * z))
+    Vec2::new(math::exp_moderate(EVSM_EXPONENTS[0] * z), -math::exp_moderate(-EVSM_EXPONENTS[1] * z))
 }
 
 /// Depth in [0, 1]; NaN becomes 1, as far as nothing met.
-#[inline]
+#[inline(always)]
 pub fn clamp_depth(z: f32) -> f32 {
-    if z < 1.0 { z.max(0.0) } else { 1.0 }
+    let most = if z < 1.0 { z } else { 1.0 };
+    if most > 0.0 { most } else { 0.0 }
 }
 
 /// What a texel holds of depth `z`: (z, z², 0, 0), or both warps with their squares (w₊, w₊², w₋, w₋²).
 ///
 /// Twin: `shaders/shared/shadow.wgsl` (tests/twins_light.rs).
-#[inline]
+#[inline(always)]
 pub fn moments_of(filter: ShadowFilter, z: f32) -> [f32; 4] {
     match filter {
         ShadowFilter::Vsm => {
@@ -136,16 +139,23 @@ pub fn moments_of(filter: ShadowFilter, z: f32) -> [f32; 4] {
 #[inline]
 pub fn evsm_visibility(moments: Vec4, t: f32, min_variance: f32, light_bleed_reduction: f32) -> f32 {
     let w = evsm_warp(t);
+    let [near_floor, far_floor] = evsm_floors(w, min_variance);
+    let near = chebyshev_upper_bound(moments.xy(), w.x, near_floor, light_bleed_reduction);
+    let far = chebyshev_upper_bound(moments.zw(), w.y, far_floor, light_bleed_reduction);
+    if far < near { far } else { near }
+}
+
+/// Floors on the variance of both warps where they are `w`.
+#[inline(always)]
+pub fn evsm_floors(w: Vec2, min_variance: f32) -> [f32; 2] {
     let floor = |c: f32, w: f32| min_variance * (2.0 * c * w) * (2.0 * c * w);
-    let near = chebyshev_upper_bound(moments.xy(), w.x, floor(EVSM_EXPONENTS[0], w.x), light_bleed_reduction);
-    let far = chebyshev_upper_bound(moments.zw(), w.y, floor(EVSM_EXPONENTS[1], w.y), light_bleed_reduction);
-    near.min(far)
+    [floor(EVSM_EXPONENTS[0], w.x), floor(EVSM_EXPONENTS[1], w.y)]
 }
 
 /// Which of six faces (+X, -X, +Y, -Y, +Z, -Z) a direction falls on: the axis of greatest magnitude, ties to the earlier.
 ///
 /// Twin: `shaders/shared/shadow.wgsl` (tests/twins.rs).
-#[inline]
+#[inline(always)]
 pub fn cube_face(v: Vec3) -> u32 {
     let a = v.abs();
     if a.x >= a.y && a.x >= a.z {
@@ -180,6 +190,15 @@ impl ShadowPlan {
     /// * `bounds_world`: all that can throw or receive shadows
     pub fn new(lights: &[Light], bounds_world: Aabb, options: &MomentOptions) -> Self {
         let mut plan = Self::default();
+        plan.update(lights, bounds_world, options);
+        plan
+    }
+
+    /// [`Self::new`] in the memory of an old plan.
+    pub fn update(&mut self, lights: &[Light], bounds_world: Aabb, options: &MomentOptions) {
+        let plan = self;
+        plan.views.clear();
+        plan.lights.clear();
         for (index, light) in lights.iter().enumerate() {
             let first = plan.views.len() as u32;
             let index = index as u32;
@@ -193,7 +212,6 @@ impl ShadowPlan {
             }
             plan.lights.push(LightMaps { first, count: plan.views.len() as u32 - first });
         }
-        plan
     }
 
     /// The view on which `point_world` is looked up for `light`.

@@ -4,15 +4,19 @@
 use glam::Vec3;
 use std::time::Instant;
 
-use super::interleave::{self, Guide};
+use super::{
+    gbuffer::{CameraScan, Eye, GBuffer},
+    interleave::{self, Guide},
+};
 use crate::{
-    accel::{Hit, Ray},
     output::RayCounts,
+    settings::{Shadows, SimdLevel, VplShadows},
+    simd::dispatch,
     trace::{
-        camera_rays::camera_ray,
-        points::PointBatch,
+        direct,
+        points::{LANES, PointBatch, PointSurface, make_room},
         shade::{self, FrameContext, VplRays},
-        surface::{PixelCone, Surface, surface_seen},
+        surface::Surface,
         whitted::{self, MaskedPixel, WhittedScratch},
     },
 };
@@ -28,19 +32,6 @@ pub struct TileRect {
     pub width: u32,
     /// Rows.
     pub height: u32,
-}
-
-/// What the G-buffer holds of one pixel.
-#[derive(Clone, Copy, Debug)]
-pub struct GBufferPixel {
-    /// Number of the picture's pixel.
-    pub pixel: u32,
-    /// Unit direction of the camera ray.
-    pub direction: Vec3,
-    /// Distance along the viewing direction, metres; 0 on a miss.
-    pub depth: f32,
-    /// The surface; `None` where the camera ray left the scene.
-    pub surface: Option<Surface>,
 }
 
 /// Thread time per stage in nanoseconds, and counters.
@@ -66,32 +57,31 @@ impl TileStats {
     }
 }
 
-/// Memory of one worker, kept between tiles and frames, and the finished tile.
+/// Memory of one worker, kept between tiles and frames, and the finished tile: points of its G-buffer are in the order of
+/// [`GBuffer::index`].
 #[derive(Clone, Debug, Default)]
 pub struct TileScratch {
-    rays: Vec<Ray>,
-    hits: Vec<Hit>,
-    /// One entry a pixel of the tile, in 4x4 blocks.
-    pub gbuffer: Vec<GBufferPixel>,
+    /// What is seen, and its direct light.
+    pub gbuffer: GBuffer,
+    /// Numbers of the triangles that the band may see.
+    pub band: Vec<u32>,
     points: PointBatch,
     point_of: Vec<u32>,
+    subset_surfaces: Vec<Surface>,
     vpl_rays: VplRays,
-    masked: Vec<MaskedPixel>,
+    /// The tile's pixels with a mirror or glass share; empty where they are not traced.
+    pub masked: Vec<MaskedPixel>,
     masked_of: Vec<u32>,
     whitted: WhittedScratch,
     traced_list: Vec<Vec3>,
-    /// Direct radiance per pixel, in the order of `gbuffer`.
-    pub direct: Vec<Vec3>,
-    /// Indirect radiance; black where VPLs are interleaved.
-    pub indirect: Vec<Vec3>,
     /// What the filter needs where VPLs are interleaved.
     pub guides: Vec<Guide>,
-    /// Radiance of mirrors and glass.
+    /// Radiance of mirrors and glass; empty where there are none.
     pub traced: Vec<Vec3>,
 }
 
-/// Makes all stages of a tile; results stay in `s`.
-pub fn render_tile(ctx: &FrameContext, rect: TileRect, s: &mut TileScratch) -> TileStats {
+/// Makes all stages of a tile; results stay in `s`, whose `band` is that of the tile's rows.
+pub fn render_tile(ctx: &FrameContext, scan: &CameraScan, rect: TileRect, s: &mut TileScratch) -> TileStats {
     let mut stats = TileStats::default();
     let mut start = Instant::now();
     let mut lap = |stage: usize, stats: &mut TileStats| {
@@ -99,8 +89,10 @@ pub fn render_tile(ctx: &FrameContext, rect: TileRect, s: &mut TileScratch) -> T
         stats.nanos[stage] += (now - start).as_nanos() as u64;
         start = now;
     };
-    fill_gbuffer(ctx, rect, s);
-    stats.rays.camera += s.gbuffer.len() as u64;
+    let band = std::mem::take(&mut s.band);
+    s.gbuffer.fill(ctx, scan, &band, rect, wants_surfaces(ctx));
+    s.band = band;
+    stats.rays.camera += u64::from(rect.width) * u64::from(rect.height);
     lap(0, &mut stats);
     fill_direct(ctx, s, &mut stats.rays);
     lap(1, &mut stats);
@@ -109,148 +101,164 @@ pub fn render_tile(ctx: &FrameContext, rect: TileRect, s: &mut TileScratch) -> T
         _ => fill_indirect(ctx, s, &mut stats.rays),
     }
     lap(2, &mut stats);
-    fill_traced(ctx, s, &mut stats);
+    fill_traced(ctx, scan, s, &mut stats);
     lap(3, &mut stats);
     stats
 }
 
-/// Casts the camera rays of the tile, 4x4 blocks in a row.
-///
-/// Twin: `shaders/gbuffer.wgsl`.
-pub fn fill_gbuffer(ctx: &FrameContext, rect: TileRect, s: &mut TileScratch) {
-    let (width, height) = (ctx.settings.width, ctx.settings.height);
-    let camera = &ctx.scene.camera;
-    let forward = -camera.world_from_view.matrix3.z_axis;
-    s.rays.clear();
-    s.gbuffer.clear();
-    for by in (rect.y..rect.y + rect.height).step_by(4) {
-        for bx in (rect.x..rect.x + rect.width).step_by(4) {
-            for y in by..(by + 4).min(rect.y + rect.height) {
-                for x in bx..(bx + 4).min(rect.x + rect.width) {
-                    let ray = camera_ray(camera, x as f32, y as f32, width, height);
-                    s.rays.push(ray);
-                    s.gbuffer.push(GBufferPixel {
-                        pixel: y * width + x,
-                        direction: ray.direction,
-                        depth: 0.0,
-                        surface: None,
-                    });
-                }
-            }
-        }
-    }
-    s.hits.clear();
-    s.hits.resize(s.rays.len(), Hit::MISS);
-    ctx.accel.closest_hits(&s.rays, &mut s.hits);
-    let cone = PixelCone::of(camera, height);
-    for ((ray, hit), g) in s.rays.iter().zip(&s.hits).zip(&mut s.gbuffer) {
-        if hit.is_hit() {
-            g.depth = hit.t * forward.dot(ray.direction);
-            g.surface = Some(surface_seen(ctx.scene, ctx.normals, ray, hit, cone.at(hit.t)));
-        }
-    }
+/// True where rays start from every pixel's surface.
+fn wants_surfaces(ctx: &FrameContext) -> bool {
+    let traced_vpls = ctx.settings.vpl.is_some_and(|v| v.shadows == VplShadows::Traced);
+    traced_vpls || matches!(ctx.settings.shadows, Shadows::Traced | Shadows::Certified)
 }
 
 fn fill_direct(ctx: &FrameContext, s: &mut TileScratch, rays: &mut RayCounts) {
-    s.direct.clear();
-    for g in &s.gbuffer {
-        s.direct.push(match &g.surface {
-            Some(surface) => shade::direct_light(ctx, surface, -g.direction, g.pixel, rays),
-            None => ctx.scene.environment.background,
-        });
+    let g = &mut s.gbuffer;
+    // Runs may reach beyond the tile; what they have too much must cast no rays.
+    if wants_surfaces(ctx) {
+        g.blacken_outside();
     }
+    let (x, y, runs, width) = (g.visible.x, g.visible.y, g.visible.runs, ctx.settings.width);
+    let row = (runs * LANES) as u32;
+    let pixel = |i: usize| (y + i as u32 / row) * width + x + i as u32 % row;
+    direct::direct_light(ctx, &mut g.points, &g.surfaces, pixel, rays);
 }
 
-/// Indirect radiance of the tile's pixels, by all VPLs.
+/// Irradiance of the tile's pixels by all VPLs.
 pub fn fill_indirect(ctx: &FrameContext, s: &mut TileScratch, rays: &mut RayCounts) {
-    s.indirect.clear();
-    s.indirect.resize(s.gbuffer.len(), Vec3::ZERO);
-    light_points(ctx, s, 0..ctx.vpls.len(), |_| true, rays);
-    for (p, &i) in s.point_of.iter().enumerate() {
-        s.indirect[i as usize] = albedo(ctx, &s.gbuffer[i as usize]) * s.points.irradiance(p);
-    }
+    let g = &mut s.gbuffer;
+    shade::indirect_light(ctx, 0..ctx.vpls.len(), &mut g.points, &g.surfaces, &mut s.vpl_rays, rays);
 }
 
-/// Irradiance of the tile's pixels, each by its own subset of the VPLs, into `guides`; `indirect` is left black, the filter
-/// over the whole picture makes it.
+/// Irradiance of the tile's pixels, each by its own subset of the VPLs, into `guides`; that of the points is left black, the
+/// filter over the whole picture makes it.
 fn fill_guides(ctx: &FrameContext, n: u32, s: &mut TileScratch, rays: &mut RayCounts) {
-    s.indirect.clear();
-    s.indirect.resize(s.gbuffer.len(), Vec3::ZERO);
+    s.gbuffer.points.darken();
     s.guides.clear();
-    s.guides.resize(s.gbuffer.len(), Guide::default());
-    let width = ctx.settings.width;
+    s.guides.resize(s.gbuffer.points.len(), Guide::default());
     for k in 0..n * n {
         let run = interleave::subset_range(ctx.vpls.len(), k, n * n);
-        light_points(ctx, s, run.clone(), |pixel| interleave::subset_of(pixel % width, pixel / width, n) == k, rays);
+        s.points.clear();
+        s.point_of.clear();
+        s.subset_surfaces.clear();
+        for i in 0..s.gbuffer.points.len() {
+            let (x, y) = s.gbuffer.place(i);
+            let points = &s.gbuffer.points;
+            if interleave::subset_of(x, y, n) != k || points.albedo(i) == Vec3::ZERO {
+                continue;
+            }
+            s.points.push(&PointSurface {
+                position_world: points.position_world(i),
+                normal: points.normal(i),
+                base_color: points.base_color(i),
+                matte: points.matte[i],
+                own: Vec3::ZERO,
+            });
+            s.point_of.push(i as u32);
+            s.subset_surfaces.extend(s.gbuffer.surfaces.get(i));
+        }
+        s.points.pad();
+        shade::indirect_light(ctx, run, &mut s.points, &s.subset_surfaces, &mut s.vpl_rays, rays);
         for (p, &i) in s.point_of.iter().enumerate() {
-            let g = &s.gbuffer[i as usize];
-            let Some(surface) = &g.surface else { continue };
-            // A subset without VPLs leaves no light behind.
-            let irradiance = if run.is_empty() { Vec3::ZERO } else { s.points.irradiance(p) };
             s.guides[i as usize] = Guide {
-                position_world: surface.position_world,
-                normal: surface.n_shading,
-                irradiance: irradiance * (n * n) as f32,
-                albedo: albedo(ctx, g),
+                position_world: s.points.position_world(p),
+                normal: s.points.normal(p),
+                irradiance: s.points.irradiance(p) * (n * n) as f32,
+                albedo: s.points.albedo(p),
             };
         }
     }
 }
 
-/// What turns a pixel's irradiance into radiance; zero where it has no matte share.
-fn albedo(ctx: &FrameContext, g: &GBufferPixel) -> Vec3 {
-    match &g.surface {
-        Some(s) => shade::indirect_albedo(&ctx.scene.materials[s.material as usize], s),
-        None => Vec3::ZERO,
-    }
-}
-
-/// Lights the matte pixels that `take` chooses by a run of the VPLs: `points` and `point_of` hold them.
-fn light_points(
-    ctx: &FrameContext,
-    s: &mut TileScratch,
-    run: std::ops::Range<usize>,
-    take: impl Fn(u32) -> bool,
-    rays: &mut RayCounts,
-) {
-    s.points.clear();
-    s.point_of.clear();
-    if ctx.vpls.is_empty() {
-        return;
-    }
-    for (i, g) in s.gbuffer.iter().enumerate() {
-        let Some(surface) = &g.surface else { continue };
-        // Pixels without a matte share receive nothing.
-        if take(g.pixel) && albedo(ctx, g) != Vec3::ZERO {
-            s.points.push(surface.position_world, surface.n_shading);
-            s.point_of.push(i as u32);
-        }
-    }
-    s.points.pad();
-    let gbuffer = &s.gbuffer;
-    let surfaces = s.point_of.iter().map(|&i| gbuffer[i as usize].surface.as_ref().expect("a point has a surface"));
-    shade::indirect_light(ctx, run, &mut s.points, surfaces, &mut s.vpl_rays, rays);
-}
-
-fn fill_traced(ctx: &FrameContext, s: &mut TileScratch, stats: &mut TileStats) {
+fn fill_traced(ctx: &FrameContext, scan: &CameraScan, s: &mut TileScratch, stats: &mut TileStats) {
     s.traced.clear();
-    s.traced.resize(s.gbuffer.len(), Vec3::ZERO);
     // Compaction: only masked pixels are traced.
+    s.gbuffer.traced_pixels(&mut s.masked_of);
+    stats.masked += s.masked_of.len() as u64;
     s.masked.clear();
-    s.masked_of.clear();
-    for (i, g) in s.gbuffer.iter().enumerate() {
-        let Some(surface) = g.surface else { continue };
-        if surface.look.is_traced() {
-            s.masked.push(MaskedPixel { pixel: g.pixel, surface, direction: g.direction });
-            s.masked_of.push(i as u32);
-        }
-    }
-    stats.masked += s.masked.len() as u64;
-    if !ctx.settings.traced || s.masked.is_empty() {
+    if !ctx.settings.traced || s.masked_of.is_empty() {
         return;
+    }
+    let width = ctx.settings.width;
+    let eye = Eye::of(&ctx.scene.camera, width, ctx.settings.height);
+    for &i in &s.masked_of {
+        let seen = s.gbuffer.surface(ctx, scan, &eye, i as usize);
+        let (surface, direction) = seen.expect("a traced pixel shows a surface");
+        let (x, y) = s.gbuffer.place(i as usize);
+        s.masked.push(MaskedPixel { pixel: y * width + x, surface, direction });
+    }
+    if ctx.settings.ray_budget.is_some() {
+        return; // The whole picture's are traced together.
     }
     whitted::trace(ctx, &s.masked, &mut s.whitted, &mut s.traced_list, &mut stats.rays);
+    s.traced.resize(s.gbuffer.points.len(), Vec3::ZERO);
     for (radiance, &i) in s.traced_list.iter().zip(&s.masked_of) {
         s.traced[i as usize] = *radiance;
     }
+}
+
+impl TileScratch {
+    /// What fits without another allocation: triangles of a band and of a tile, highlights, traced pixels and their waves.
+    pub fn capacity(&self) -> [usize; 7] {
+        let [wave, points, glossy] = self.whitted.capacity();
+        let masked = self.masked_of.capacity().max(self.masked.capacity()).max(self.traced_list.capacity());
+        let own = self.gbuffer.points.capacity()[1];
+        [self.band.capacity(), self.gbuffer.candidates(), own, masked, wave, points, glossy]
+    }
+
+    /// Makes room for as much, so that it does not matter which thread gets which tile.
+    pub fn reserve(&mut self, [band, candidates, own, masked, wave, points, glossy]: [usize; 7]) {
+        make_room(&mut self.band, band);
+        self.gbuffer.reserve(candidates);
+        self.gbuffer.points.reserve([0, own]);
+        make_room(&mut self.masked_of, masked);
+        make_room(&mut self.masked, masked);
+        make_room(&mut self.traced_list, masked);
+        self.whitted.reserve([wave, points, glossy]);
+    }
+
+    /// Writes direct + indirect + traced radiance of the pixels from number `first` on, which lie in one row. False where a
+    /// number is not finite.
+    pub fn compose(&self, level: SimdLevel, first: usize, pixels: &mut [[f32; 3]]) -> bool {
+        let mut finite = true;
+        let traced = self.traced.get(first..first + pixels.len()).unwrap_or(&[]);
+        compose(level, &self.gbuffer.points, first, traced, pixels, &mut finite);
+        finite
+    }
+}
+
+#[inline(always)]
+fn compose_body<'a>(points: &'a PointBatch, first: usize, traced: &[Vec3], pixels: &mut [[f32; 3]], finite: &mut bool) {
+    let n = pixels.len();
+    let row = |plane: &'a [f32]| &plane[first..first + n];
+    let matte = row(&points.matte);
+    let [b0, b1, b2] = [row(&points.base_color[0]), row(&points.base_color[1]), row(&points.base_color[2])];
+    let [e0, e1, e2] = [row(&points.irradiance[0]), row(&points.irradiance[1]), row(&points.irradiance[2])];
+    let [r0, r1, r2] = [row(&points.radiance[0]), row(&points.radiance[1]), row(&points.radiance[2])];
+    let mut check = 0.0f32;
+    for i in 0..n {
+        pixels[i] =
+            [r0[i] + b0[i] * matte[i] * e0[i], r1[i] + b1[i] * matte[i] * e1[i], r2[i] + b2[i] * matte[i] * e2[i]];
+    }
+    if !traced.is_empty() {
+        for (pixel, traced) in pixels.iter_mut().zip(traced) {
+            for axis in 0..3 {
+                pixel[axis] += traced[axis];
+            }
+        }
+    }
+    for v in pixels.as_flattened() {
+        check = if v.is_finite() { check } else { 1.0 };
+    }
+    *finite = check == 0.0;
+}
+
+dispatch! {
+    fn compose => compose_body(
+        points: &PointBatch,
+        first: usize,
+        traced: &[Vec3],
+        pixels: &mut [[f32; 3]],
+        finite: &mut bool,
+    )
 }

@@ -1,0 +1,106 @@
+//! What did not change since the frame before is not made again. Everything that a stage reads is compared, so that a kept
+//! result is the one that would be made.
+
+use catoptra_engine::{Light, Material, Mesh, RenderScene, Texture};
+use glam::Affine3;
+use std::sync::Arc;
+
+use crate::{
+    accel::Accel,
+    settings::{GlassShadows, MomentOptions, RenderSettings, VplOptions},
+    twin::shadow::ShadowView,
+};
+
+/// What VPLs and their maps were made of.
+#[derive(Debug, Default)]
+pub(crate) struct LitBy {
+    known: bool,
+    options: Option<(VplOptions, GlassShadows, u32)>,
+    lights: Vec<Light>,
+    /// Transform, mesh and material by instance.
+    instances: Vec<(Affine3, u32, u32)>,
+    materials: Vec<Material>,
+    /// Held, so that their addresses stay their own.
+    meshes: Vec<Arc<Mesh>>,
+    textures: Vec<Arc<Texture>>,
+}
+
+impl LitBy {
+    /// True where nothing has changed; remembers the scene.
+    pub fn update(&mut self, scene: &RenderScene, settings: &RenderSettings) -> bool {
+        let options = settings.vpl.map(|v| (v, settings.glass_shadows, settings.seed));
+        let instances = || scene.instances.iter().map(|i| (i.world_from_object, i.mesh, i.material));
+        let same = self.known
+            && self.options == options
+            && self.lights == scene.lights
+            && self.instances.iter().copied().eq(instances())
+            && self.materials == scene.materials
+            && same_arcs(&self.meshes, &scene.meshes)
+            && same_arcs(&self.textures, &scene.textures);
+        if !same {
+            self.known = true;
+            self.options = options;
+            self.lights.clone_from(&scene.lights);
+            self.instances.clear();
+            self.instances.extend(instances());
+            self.materials.clone_from(&scene.materials);
+            keep_arcs(&mut self.meshes, &scene.meshes);
+            keep_arcs(&mut self.textures, &scene.textures);
+        }
+        same
+    }
+
+    /// The VPLs are gone.
+    pub fn forget(&mut self) {
+        self.known = false;
+    }
+}
+
+/// What a shadow map was made of.
+#[derive(Debug, Default)]
+pub(crate) struct CastBy {
+    view: Option<(ShadowView, MomentOptions, bool)>,
+    /// Transform and mesh of the instances in the map's list.
+    casters: Vec<(Affine3, Arc<Mesh>)>,
+}
+
+impl CastBy {
+    /// True where the same instances throw the same shadows; remembers them. Surfaces with holes always count as changed.
+    /// * `casters`: the instances that may be seen on the map, ascending
+    pub fn update(
+        &mut self,
+        view: (ShadowView, MomentOptions, bool),
+        scene: &RenderScene,
+        accel: &Accel,
+        casters: impl Iterator<Item = u32> + Clone,
+    ) -> bool {
+        let of = |id: u32| {
+            let i = &scene.instances[id as usize];
+            (i.world_from_object, &scene.meshes[i.mesh as usize])
+        };
+        let equal = |a: &(Affine3, Arc<Mesh>), id: u32| {
+            let (transform, mesh) = of(id);
+            a.0 == transform && Arc::ptr_eq(&a.1, mesh)
+        };
+        let mut old = self.casters.iter();
+        let same = !accel.any_holes()
+            && self.view == Some(view)
+            && casters.clone().all(|id| old.next().is_some_and(|a| equal(a, id)))
+            && old.next().is_none();
+        if !same {
+            self.view = Some(view);
+            self.casters.clear();
+            self.casters.extend(casters.map(|id| (of(id).0, of(id).1.clone())));
+        }
+        same
+    }
+}
+
+fn same_arcs<T>(a: &[Arc<T>], b: &[Arc<T>]) -> bool {
+    a.len() == b.len() && a.iter().zip(b).all(|(a, b)| Arc::ptr_eq(a, b))
+}
+
+fn keep_arcs<T>(to: &mut Vec<Arc<T>>, from: &[Arc<T>]) {
+    to.clear();
+    to.extend(from.iter().cloned());
+}

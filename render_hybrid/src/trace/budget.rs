@@ -1,0 +1,163 @@
+//! Mirrors and glass under a cap on rays.
+//!
+//! Where the cap allows fewer than [`RAYS_A_PIXEL`] rays for each mirror and glass pixel, only every n-th pixel of every n-th
+//! row is traced, and the others take over what their traced neighbours on the same thing see. All traced pixels then go wave
+//! by wave, one interface deeper each time; where a wave has more rays than are left, those of the least weight end, in all
+//! of the picture alike: depth goes first where it shows least, in dim reflections of reflections. Rays are counted, never
+//! time, and every choice depends on the picture alone: a budgeted frame has the same bits on every machine.
+//!
+//! Source of the guided up-sampling: Kopf et al., "Joint Bilateral Upsampling", SIGGRAPH 2007.
+
+use glam::Vec3;
+use rayon::prelude::*;
+
+use super::{
+    sampling,
+    shade::FrameContext,
+    whitted::{self, MaskedPixel, WhittedScratch},
+};
+use crate::output::RayCounts;
+
+/// Pixels that one task traces. It never shows.
+const CHUNK: usize = 1024;
+
+/// Rays that a traced pixel should have on the whole. Higher: fewer pixels are traced, more deeply.
+pub const RAYS_A_PIXEL: u64 = 4;
+
+/// Normals whose cosine is less see something else.
+const LEAST_COSINE: f32 = 0.9;
+
+/// Radiance that mirrors and glass add to each pixel of the list, by at most `budget` rays (those that hits send to lights
+/// and VPLs count, too, but end nothing until the next wave).
+pub fn trace(ctx: &FrameContext, pixels: &[MaskedPixel], budget: u64, counts: &mut RayCounts) -> Vec<Vec3> {
+    let wanted = RAYS_A_PIXEL * pixels.len() as u64;
+    let step = (1..64).find(|n| wanted <= budget.saturating_mul(n * n)).unwrap_or(64) as u32;
+    if step == 1 {
+        return trace_all(ctx, pixels, budget, counts);
+    }
+    let width = ctx.settings.width;
+    let place = |p: &MaskedPixel| (p.pixel % width, p.pixel / width);
+    let chosen: Vec<MaskedPixel> = pixels
+        .iter()
+        .filter(|p| {
+            let (x, y) = place(p);
+            x % step == 0 && y % step == 0
+        })
+        .copied()
+        .collect();
+    let traced = trace_all(ctx, &chosen, budget, counts);
+    // Where on the grid of traced pixels each of them is.
+    let columns = width.div_ceil(step);
+    let mut grid = vec![u32::MAX; (columns * ctx.settings.height.div_ceil(step)) as usize];
+    for (i, p) in chosen.iter().enumerate() {
+        let (x, y) = place(p);
+        grid[(y / step * columns + x / step) as usize] = i as u32;
+    }
+    pixels
+        .par_iter()
+        .map(|p| {
+            let (x, y) = place(p);
+            let (mut sum, mut weights) = (Vec3::ZERO, 0.0f32);
+            for row in (y / step).saturating_sub(1)..=(y / step + 2) {
+                for column in (x / step).saturating_sub(1)..=(x / step + 2).min(columns - 1) {
+                    let Some(&i) = grid.get((row * columns + column) as usize).filter(|&&i| i != u32::MAX) else {
+                        continue;
+                    };
+                    let other = &chosen[i as usize].surface;
+                    let alike = other.instance_id == p.surface.instance_id
+                        && other.n_shading.dot(p.surface.n_shading) >= LEAST_COSINE;
+                    if alike {
+                        let dx = (column * step) as f32 - x as f32;
+                        let dy = (row * step) as f32 - y as f32;
+                        // A traced pixel is itself, its neighbours fall off quickly.
+                        let distance = (dx * dx + dy * dy) / (step * step) as f32;
+                        let weight = 1.0 / (1e-4 + distance * distance);
+                        sum += traced[i as usize] * weight;
+                        weights += weight;
+                    }
+                }
+            }
+            if weights > 0.0 { sum / weights } else { Vec3::ZERO }
+        })
+        .collect()
+}
+
+fn trace_all(ctx: &FrameContext, pixels: &[MaskedPixel], budget: u64, counts: &mut RayCounts) -> Vec<Vec3> {
+    struct Part<'a> {
+        pixels: &'a [MaskedPixel],
+        scratch: WhittedScratch,
+        radiance: Vec<Vec3>,
+        counts: RayCounts,
+    }
+    let mut parts: Vec<Part> = pixels
+        .par_chunks(CHUNK)
+        .map(|pixels| {
+            let (mut scratch, mut radiance) = (WhittedScratch::default(), Vec::new());
+            whitted::begin(ctx, pixels, &mut scratch, &mut radiance);
+            Part { pixels, scratch, radiance, counts: RayCounts::default() }
+        })
+        .collect();
+    let mut left = budget;
+    loop {
+        let wave: u64 = parts.iter().map(|p| p.scratch.wave_len() as u64).sum();
+        if wave > left {
+            let ranks = parts.iter().flat_map(|p| p.scratch.weights().map(|(slot, w)| rank(p.pixels[slot].pixel, w)));
+            let least = least_rank(left, ranks);
+            parts.par_iter_mut().for_each(|p| {
+                let pixels = p.pixels;
+                p.scratch.keep(|slot, w| rank(pixels[slot].pixel, w) >= least);
+            });
+        }
+        if parts.iter().all(|p| p.scratch.wave_len() == 0) {
+            break;
+        }
+        parts.par_iter_mut().for_each(|p| {
+            whitted::trace_wave(ctx, p.pixels, &mut p.scratch, &mut p.radiance, &mut p.counts);
+        });
+        let spent: u64 = parts.iter().map(|p| p.counts.total()).sum();
+        left = budget.saturating_sub(spent);
+    }
+    *counts = parts.iter().fold(*counts, |c, p| c.merged(p.counts));
+    parts.into_iter().flat_map(|p| p.radiance).collect()
+}
+
+/// Which rays stay first: by weight in classes of 32 to the octave, within a class by a hash of the pixel, so that a class
+/// that does not fit as a whole is thinned out evenly.
+fn rank(pixel: u32, weight: f32) -> u32 {
+    // Positive floats are ordered as their bits are.
+    let class = weight.max(0.0).to_bits() >> 18;
+    class << 8 | sampling::hash_u32(pixel) >> 24
+}
+
+/// A rank that at most `most` of the ranks reach.
+fn least_rank(most: u64, ranks: impl Iterator<Item = u32>) -> u32 {
+    let mut classes = vec![0u32; 1 << 21];
+    for r in ranks {
+        classes[r as usize] += 1;
+    }
+    let mut sum = 0;
+    for rank in (0..classes.len()).rev() {
+        sum += u64::from(classes[rank]);
+        if sum > most {
+            return rank as u32 + 1;
+        }
+    }
+    0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_least_rank_keeps_no_more_than_it_may_and_little_less() {
+        // Half of the rays have one weight.
+        let ray = |i: u32| (i, if i % 2 == 0 { 0.92 } else { ((i * 37) % 1000) as f32 / 1000.0 });
+        for most in [0u64, 1, 10, 500, 999, 1000, 5000] {
+            let least = least_rank(most, (0..1000).map(ray).map(|(p, w)| rank(p, w)));
+            let kept = (0..1000).map(ray).filter(|&(p, w)| rank(p, w) >= least).count() as u64;
+            assert!(kept <= most && kept + 12 >= most.min(1000), "{kept} for {most}");
+        }
+        assert!(rank(7, 0.5) > rank(8, 0.4) && rank(7, 0.5) < rank(7, 0.6));
+    }
+}

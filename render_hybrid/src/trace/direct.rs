@@ -1,0 +1,310 @@
+//! Direct light of a batch of points: Lambert under each light, sixteen points at a time, times visibility.
+//!
+//! Highlights and traced visibility, which few points need, are computed one by one.
+
+use catoptra_engine::{Light, LightKind};
+use glam::{Vec2, Vec3, Vec4};
+
+use super::{
+    points::{LANES, Lane, PointBatch, lanes, store},
+    shade::{FrameContext, light_visibility, shadow_ray},
+    surface::Surface,
+};
+use crate::{
+    output::RayCounts,
+    settings::{MomentOptions, ShadowFilter, Shadows},
+    simd::dispatch,
+    twin::{
+        shading::blinn_phong_lobe,
+        shadow::{ShadowMaps, ShadowView, chebyshev_upper_bound, cube_face, evsm_floors, evsm_warp},
+    },
+};
+
+/// Adds the light of all lights to the radiance of every point of the batch, which must be padded.
+/// * `surfaces`: the surfaces behind the points; may be empty unless shadows are traced or certified
+/// * `pixel`: number of the picture's pixel that a point belongs to; turns the pattern on a light's disc
+pub fn direct_light(
+    ctx: &FrameContext,
+    points: &mut PointBatch,
+    surfaces: &[Surface],
+    pixel: impl Fn(usize) -> u32,
+    rays: &mut RayCounts,
+) {
+    for (index, light) in ctx.scene.lights.iter().enumerate() {
+        let index = index as u32;
+        unshadowed(ctx.level, points, light);
+        highlights(points, light);
+        match ctx.settings.shadows {
+            Shadows::Off => add(ctx.level, points),
+            Shadows::Moments => add_filtered(ctx.level, points, ctx.maps, index, light, &ctx.settings.moments),
+            // One ray a light: all points' rays go together.
+            Shadows::Traced if light.radius <= 0.0 || ctx.settings.shadow_samples == 1 => {
+                add_by_rays(ctx, points, surfaces, index, rays);
+            }
+            Shadows::Traced | Shadows::Certified => {
+                for i in 0..points.len() {
+                    let unshadowed = unshadowed_at(points, i);
+                    if unshadowed != Vec3::ZERO {
+                        let seen = unshadowed * light_visibility(ctx, index, &surfaces[i], pixel(i), rays);
+                        add_at(points, i, seen);
+                    }
+                }
+            }
+        }
+    }
+}
+
+fn unshadowed_at(points: &PointBatch, i: usize) -> Vec3 {
+    Vec3::from_array([0, 1, 2].map(|axis| points.unshadowed[axis][i]))
+}
+
+fn add_at(points: &mut PointBatch, i: usize, radiance: Vec3) {
+    for axis in 0..3 {
+        points.radiance[axis][i] += radiance[axis];
+    }
+}
+
+/// Adds the unshadowed light of the points that a ray to the middle of the light's disc does not find occluded.
+fn add_by_rays(ctx: &FrameContext, points: &mut PointBatch, surfaces: &[Surface], index: u32, counts: &mut RayCounts) {
+    let mut shadows = std::mem::take(&mut points.shadows);
+    shadows.clear();
+    for i in 0..points.len() {
+        if unshadowed_at(points, i) != Vec3::ZERO
+            && let Some(ray) = shadow_ray(ctx.scene, index, &surfaces[i], Vec2::ZERO)
+        {
+            shadows.rays.push(ray);
+            shadows.of.push(i as u32);
+        }
+    }
+    counts.shadow += shadows.rays.len() as u64;
+    shadows.occluded.resize(shadows.rays.len(), false);
+    ctx.accel.occluded_many(&shadows.rays, &mut shadows.occluded);
+    for (&i, occluded) in shadows.of.iter().zip(&shadows.occluded) {
+        if !occluded {
+            let seen = unshadowed_at(points, i as usize);
+            add_at(points, i as usize, seen);
+        }
+    }
+    points.shadows = shadows;
+}
+
+/// Adds Blinn-Phong lobes to the unshadowed light of the points that have one.
+fn highlights(points: &mut PointBatch, light: &Light) {
+    for k in 0..points.glossy.len() {
+        let glossy = points.glossy[k];
+        let i = glossy.point as usize;
+        let n = points.normal(i);
+        let (wi, _, incident) = light.incident(points.position_world(i));
+        let n_dot_l = n.dot(wi);
+        if n_dot_l > 0.0 {
+            let lobe = glossy.specular * blinn_phong_lobe(n, wi, glossy.wo, glossy.shininess) * incident * n_dot_l;
+            for axis in 0..3 {
+                points.unshadowed[axis][i] += lobe[axis];
+            }
+        }
+    }
+}
+
+#[inline(always)]
+fn unshadowed_body(points: &mut PointBatch, light: &Light) {
+    let (position, towards, intensity) = (light.position_world, light.direction_world, light.intensity);
+    let (parallel, spot, cos_outer, per_range) = match light.kind {
+        LightKind::Directional => (true, false, 0.0, 1.0),
+        LightKind::Point => (false, false, 0.0, 1.0),
+        LightKind::Spot { cos_inner, cos_outer } => (false, true, cos_outer, 1.0 / (cos_inner - cos_outer).max(0.001)),
+    };
+    for at in (0..points.len()).step_by(LANES) {
+        let (p, n) = (lanes(&points.position, at), lanes(&points.normal, at));
+        let base = lanes(&points.base_color, at);
+        let matte = super::points::lane(&points.matte, at);
+        let mut out = [[0.0f32; LANES]; 3];
+        for lane in 0..LANES {
+            let (x, y, z) = (position.x - p[0][lane], position.y - p[1][lane], position.z - p[2][lane]);
+            let d2 = (x * x + y * y) + z * z;
+            let inverse = 1.0 / d2.sqrt();
+            let (wx, wy, wz) = (x * inverse, y * inverse, z * inverse);
+            let cos = -((wx * towards.x + wy * towards.y) + wz * towards.z);
+            let x = (cos - cos_outer) * per_range;
+            let x = if x > 0.0 { x } else { 0.0 };
+            let x = if x < 1.0 { x } else { 1.0 };
+            let falloff = if spot { x * x } else { 1.0 };
+            let falloff = falloff * (inverse * inverse);
+            // At the light's own place there is no light.
+            let falloff = if d2 > 0.0 { falloff } else { 0.0 };
+            let (wx, wy, wz) = if parallel { (-towards.x, -towards.y, -towards.z) } else { (wx, wy, wz) };
+            let falloff = if parallel { 1.0 } else { falloff };
+            let n_dot_l = (n[0][lane] * wx + n[1][lane] * wy) + n[2][lane] * wz;
+            let received = if n_dot_l > 0.0 { n_dot_l * falloff } else { 0.0 };
+            let reflected = received * matte[lane];
+            out[0][lane] = base[0][lane] * (intensity.x * reflected);
+            out[1][lane] = base[1][lane] * (intensity.y * reflected);
+            out[2][lane] = base[2][lane] * (intensity.z * reflected);
+        }
+        store(&mut points.unshadowed, at, &out);
+    }
+}
+
+dispatch! {
+    /// Sets the radiance that one light would cause by the matte share: base · matte · N·L · incident.
+    fn unshadowed => unshadowed_body(points: &mut PointBatch, light: &Light)
+}
+
+#[inline(always)]
+fn add_body(points: &mut PointBatch) {
+    for axis in 0..3 {
+        for (r, u) in points.radiance[axis].iter_mut().zip(&points.unshadowed[axis]) {
+            *r += u;
+        }
+    }
+}
+
+dispatch! { fn add => add_body(points: &mut PointBatch) }
+
+/// Sixteen places on shadow maps.
+struct Places {
+    /// First texel: number within the map.
+    first: [u32; LANES],
+    /// Steps to its right and lower neighbour, 0 at the rim.
+    right: [u32; LANES],
+    below: [u32; LANES],
+    fraction: [Lane; 2],
+    depth: Lane,
+    inside: [bool; LANES],
+}
+
+/// As [`crate::twin::shadow::shadow_project`] and the first half of [`ShadowMaps::sample`].
+#[inline(always)]
+fn project(view: impl Fn(usize) -> ShadowView, p: &[Lane; 3]) -> Places {
+    let mut out = Places {
+        first: [0; LANES],
+        right: [0; LANES],
+        below: [0; LANES],
+        fraction: [[0.0; LANES]; 2],
+        depth: [0.0; LANES],
+        inside: [false; LANES],
+    };
+    for lane in 0..LANES {
+        let view = view(lane);
+        let (o, f, r, u) = (view.origin_world, view.forward, view.right_scaled, view.up_scaled);
+        let (x, y, z) = (p[0][lane] - o.x, p[1][lane] - o.y, p[2][lane] - o.z);
+        let along = (f.x * x + f.y * y) + f.z * z;
+        let w = if view.perspective > 0.5 { along } else { 1.0 };
+        let in_front = w > 0.0;
+        let inverse = 1.0 / if in_front { w } else { 1.0 };
+        let a = 0.5 + 0.5 * (((r.x * x + r.y * y) + r.z * z) * inverse);
+        let b = 0.5 - 0.5 * (((u.x * x + u.y * y) + u.z * z) * inverse);
+        out.depth[lane] = along / view.far;
+        out.inside[lane] = in_front & (a >= 0.0) & (b >= 0.0) & (a <= 1.0) & (b <= 1.0);
+        let (size, top) = (view.size as f32, (view.size - 1) as f32);
+        let clamped = |uv: f32| {
+            let c = uv * size - 0.5;
+            let c = if c > 0.0 { c } else { 0.0 };
+            if c < top { c } else { top }
+        };
+        let (a, b) = (clamped(a), clamped(b));
+        let (i, j) = (a as u32, b as u32);
+        out.fraction[0][lane] = a - i as f32;
+        out.fraction[1][lane] = b - j as f32;
+        out.first[lane] = j * view.size + i;
+        out.right[lane] = u32::from(i + 1 < view.size);
+        out.below[lane] = if j + 1 < view.size { view.size } else { 0 };
+    }
+    out
+}
+
+/// [`chebyshev_upper_bound`] of sixteen points.
+#[inline(always)]
+fn chebyshev(mean: &Lane, square: &Lane, t: &Lane, floor: &Lane, reduction: f32) -> Lane {
+    let mut out = [0.0f32; LANES];
+    for lane in 0..LANES {
+        out[lane] = chebyshev_upper_bound(Vec2::new(mean[lane], square[lane]), t[lane], floor[lane], reduction);
+    }
+    out
+}
+
+#[inline(always)]
+fn add_filtered_body(points: &mut PointBatch, maps: &ShadowMaps, index: u32, light: &Light, options: &MomentOptions) {
+    let own = maps.plan.lights[index as usize];
+    let (floor, reduction) = (options.min_variance, options.light_bleed_reduction);
+    for at in (0..points.len()).step_by(LANES) {
+        let unshadowed = lanes(&points.unshadowed, at);
+        let mut any = 0;
+        for lane in 0..LANES {
+            any |= unshadowed[0][lane].to_bits() | unshadowed[1][lane].to_bits() | unshadowed[2][lane].to_bits();
+        }
+        if any == 0 {
+            continue;
+        }
+        let p = lanes(&points.position, at);
+        let mut number = [own.first; LANES];
+        let places = if own.count == 6 {
+            for lane in 0..LANES {
+                let to = Vec3::new(p[0][lane], p[1][lane], p[2][lane]) - light.position_world;
+                number[lane] += cube_face(to);
+            }
+            project(|lane| maps.plan.views[number[lane] as usize], &p)
+        } else {
+            let view = maps.plan.views[own.first as usize];
+            project(|_| view, &p)
+        };
+        let mut moments = [[0.0f32; LANES]; 4];
+        for lane in 0..LANES {
+            if places.inside[lane] {
+                let map = maps.maps[number[lane] as usize].as_slice();
+                let first = places.first[lane] as usize;
+                let (right, below) = (places.right[lane] as usize, places.below[lane] as usize);
+                let texel = |i: usize| Vec4::from_array(map[i]);
+                let (fx, fy) = (places.fraction[0][lane], places.fraction[1][lane]);
+                let (a, b) = (texel(first), texel(first + right));
+                let (c, d) = (texel(first + below), texel(first + below + right));
+                let (upper, lower) = (a + (b - a) * fx, c + (d - c) * fx);
+                let [m0, m1, m2, m3] = (upper + (lower - upper) * fy).to_array();
+                (moments[0][lane], moments[1][lane]) = (m0, m1);
+                (moments[2][lane], moments[3][lane]) = (m2, m3);
+            }
+        }
+        let visibility = match options.filter {
+            ShadowFilter::Vsm => chebyshev(&moments[0], &moments[1], &places.depth, &[floor; LANES], reduction),
+            ShadowFilter::Evsm4 => {
+                let (mut near, mut far) = ([0.0f32; LANES], [0.0f32; LANES]);
+                let (mut near_floor, mut far_floor) = ([0.0f32; LANES], [0.0f32; LANES]);
+                for lane in 0..LANES {
+                    let w = evsm_warp(places.depth[lane]);
+                    (near[lane], far[lane]) = (w.x, w.y);
+                    let [a, b] = evsm_floors(w, floor);
+                    (near_floor[lane], far_floor[lane]) = (a, b);
+                }
+                let near = chebyshev(&moments[0], &moments[1], &near, &near_floor, reduction);
+                let far = chebyshev(&moments[2], &moments[3], &far, &far_floor, reduction);
+                let mut least = near;
+                for lane in 0..LANES {
+                    least[lane] = if far[lane] < near[lane] { far[lane] } else { near[lane] };
+                }
+                least
+            }
+        };
+        let mut seen = [1.0f32; LANES];
+        for lane in 0..LANES {
+            seen[lane] = if places.inside[lane] { visibility[lane] } else { 1.0 };
+        }
+        let visibility = seen;
+        let mut out = lanes(&points.radiance, at);
+        for lane in 0..LANES {
+            out[0][lane] += unshadowed[0][lane] * visibility[lane];
+            out[1][lane] += unshadowed[1][lane] * visibility[lane];
+            out[2][lane] += unshadowed[2][lane] * visibility[lane];
+        }
+        store(&mut points.radiance, at, &out);
+    }
+}
+
+dispatch! {
+    /// Adds the unshadowed light times what the light's filtered maps let through.
+    fn add_filtered => add_filtered_body(
+        points: &mut PointBatch,
+        maps: &ShadowMaps,
+        index: u32,
+        light: &Light,
+        options: &MomentOptions,
+    )
+}
