@@ -9,6 +9,7 @@ test:
 # Rewrites the golden pictures and hashes; look at `git diff --stat tests/goldens` and at the pictures afterwards.
 goldens:
     CATOPTRA_UPDATE_GOLDENS=1 cargo test -p catoptra_tests --test snapshots
+    CATOPTRA_UPDATE_GOLDENS=1 cargo test -p catoptra_demos --test games
 
 # The five scenes at 1024x1024 into out/.
 pictures:

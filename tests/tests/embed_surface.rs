@@ -97,7 +97,10 @@ fn a_mesh_without_coordinates_ignores_its_normal_map() {
         };
         let plain = image(Material::lambert(Vec3::ONE), &mut renderer);
         let mapped = image(Material { normal_texture: map(0), ..Material::lambert(Vec3::ONE) }, &mut renderer);
-        assert_eq!(plain, mapped);
+        // Places with and without textures are shaded by different kernels: the same sums in another order.
+        for (a, b) in plain.pixels.iter().flatten().zip(mapped.pixels.iter().flatten()) {
+            assert!((a - b).abs() <= 1e-6, "{a} for {b}");
+        }
     }
 }
 

@@ -573,7 +573,8 @@ fn deep_trees_get_a_deeper_stack() {
     });
     let other = other.count();
     assert!(answer.capped == 0 && other <= 4, "{other} other hits, {} capped", answer.capped);
-    assert!(answer.hits.iter().filter(|h| h.is_hit()).count() > 1000);
+    let hits = answer.hits.iter().filter(|h| h.is_hit()).count();
+    assert!(hits > 200, "{hits} of {}", rays.len());
 }
 
 /// A floor of metal and roughness by texture, a fence with holes, a mirror ball and a glass ball.
