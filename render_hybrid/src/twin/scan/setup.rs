@@ -15,7 +15,7 @@ const MARGIN: f64 = 0.01;
 /// A triangle as pixels see it.
 #[derive(Clone, Copy, Debug, Default)]
 pub struct ScanTriangle {
-    /// Weight of each corner at pixel (x, y) up to a common positive factor: w[0]·x + w[1]·y + w[2].
+    /// Weight of each corner at pixel (x, y) up to a common positive factor: `w[0]·x + w[1]·y + w[2]`.
     pub weights: [[f64; 3]; 3],
     /// 1/t (perspective) or −t at pixel (x, y), the same way.
     pub nearness: [f64; 3],
