@@ -1,6 +1,6 @@
 //! Five games whose rules, levels and solver know neither window nor renderer.
 //!
-//! **Contract:** a game is a function of its level and of the actions per fixed step. [`rules`] plays moves on plain values
+//! **Contract:** a game is a function of its level and of the actions per fixed step. [`Level::play`] plays moves on plain values
 //! ([`State`]), [`solver`] proves that a level can be won and gives its par, [`Session`] adds undo, hints and counting, and
 //! [`Run`] puts all of it into an ECS world in which actions start motion and motion takes its time. Keys, windows, threads
 //! and pictures have no say in any of it.
