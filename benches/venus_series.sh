@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # The thesis's table 5.1: time of the traced layer of room, rolling box and mirror statue against the statue's triangles, for
 # both kinds of tree. Median of 5 interleaved runs of some frames each.
-#   render_hybrid/benches/venus_series.sh FOLDER_OF_venus_N.glb [SIDE]
+#   benches/venus_series.sh FOLDER_OF_venus_N.glb [SIDE]
 set -euo pipefail
 folder=${1:?usage: venus_series.sh FOLDER [SIDE]}
 side=${2:-512}

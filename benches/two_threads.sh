@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # How well two threads share one frame: frames a second of one run on two threads against the sum of two runs on one thread
 # each, side by side, each on its own processor. Interleaved, median of REPS (9).
-#   render_hybrid/benches/two_threads.sh [traced|render_total] [SIDE]
+#   benches/two_threads.sh [traced|render_total] [SIDE]
 set -euo pipefail
 stage=${1:-traced}
 side=${2:-512}
