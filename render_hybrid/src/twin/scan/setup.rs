@@ -2,12 +2,16 @@
 
 use catoptra_engine::{Mesh, RenderScene};
 use glam::Vec3;
+use rayon::prelude::*;
 
 use super::ScanView;
 use crate::accel::Accel;
 
 /// Triangles that one task sets up.
 const CHUNK: usize = 2048;
+
+/// More triangles than this are not given a place each before it is known which are seen.
+const MANY: usize = 4_000_000;
 
 /// Pixels by which a triangle's box is widened, so that rounding loses no pixel.
 const MARGIN: f64 = 0.01;
@@ -41,6 +45,8 @@ struct Part {
     /// First triangle of the mesh, and how many.
     first: u32,
     len: u32,
+    /// Places kept for it.
+    room: u32,
     /// How many of them may be seen; they stand at the front of the part's places.
     seen: u32,
 }
@@ -75,7 +81,7 @@ impl ScanList {
             let len = mesh.triangles().len();
             for first in (0..len).step_by(CHUNK) {
                 let len = CHUNK.min(len - first) as u32;
-                self.parts.push(Part { instance_id: id, first: first as u32, len, seen: 0 });
+                self.parts.push(Part { instance_id: id, first: first as u32, len, room: len, seen: 0 });
             }
         }
     }
@@ -87,7 +93,12 @@ impl ScanList {
 
     /// Sets up the triangles of the listed instances.
     pub fn set_up(&mut self, view: &ScanView, scene: &RenderScene) {
-        let total = self.parts.iter().map(|p| p.len as usize).sum();
+        let listed: usize = self.parts.iter().map(|p| p.len as usize).sum();
+        if listed > MANY {
+            // Most of so many are smaller than a pixel: room for those that are seen alone, counted first.
+            self.parts.par_iter_mut().for_each(|part| part.room = seen(view, scene, part));
+        }
+        let total = self.parts.iter().map(|p| p.room as usize).sum();
         if self.triangles.len() < total {
             self.triangles.resize(total, ScanTriangle::default());
             self.boxes.resize(total, PixelBox::default());
@@ -119,7 +130,7 @@ impl ScanList {
                     out.push(n);
                 }
             }
-            at += part.len;
+            at += part.room;
         }
     }
 }
@@ -135,14 +146,14 @@ fn set_up_all(
     if triangles.len() <= CHUNK || parts.len() <= 1 {
         let mut at = 0;
         for part in parts {
-            let places = at..at + part.len as usize;
+            let places = at..at + part.room as usize;
             at = places.end;
             set_up(view, scene, part, &mut triangles[places.clone()], &mut boxes[places]);
         }
         return;
     }
     let (a, b) = parts.split_at_mut(parts.len() / 2);
-    let work = a.iter().map(|p| p.len as usize).sum();
+    let work = a.iter().map(|p| p.room as usize).sum();
     let ((ta, tb), (ba, bb)) = (triangles.split_at_mut(work), boxes.split_at_mut(work));
     rayon::join(|| set_up_all(view, scene, a, ta, ba), || set_up_all(view, scene, b, tb, bb));
 }
@@ -178,6 +189,16 @@ fn project(view: &ScanView, rows: &[[f64; 4]; 3], p: Vec3) -> Corner {
 #[inline(always)]
 fn cross(a: [f64; 3], b: [f64; 3]) -> [f64; 3] {
     [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
+}
+
+/// How many triangles of a part the view may see.
+fn seen(view: &ScanView, scene: &RenderScene, part: &Part) -> u32 {
+    let instance = &scene.instances[part.instance_id as usize];
+    let mesh = &scene.meshes[instance.mesh as usize];
+    let rows = view.rows_from_object(&instance.world_from_object);
+    let positions = mesh.positions();
+    let corners = |id: u32| mesh.triangles()[id as usize].map(|v| project(view, &rows, positions[v as usize]));
+    (part.first..part.first + part.len).filter(|id| triangle(view, corners(*id)).is_some()).count() as u32
 }
 
 fn set_up(
