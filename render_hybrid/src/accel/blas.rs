@@ -27,7 +27,7 @@ pub(crate) struct Blas {
 const COSTS: CollapseCosts = CollapseCosts { max_leaf: 8, leaf: 0.5, primitive: 0.05 };
 
 /// Share of nodes that are tried elsewhere in the tree in each round.
-const REINSERTION: f32 = 0.13;
+const REINSERTION: f32 = 0.1;
 
 /// Coordinates beyond this overflow the builder's surface areas; such meshes get the median tree.
 const MAX_BUILDER_COORDINATE: f32 = 1e15;
