@@ -5,7 +5,6 @@ use rayon::prelude::*;
 
 use super::{
     shade::{self, FrameContext},
-    surface::{PixelCone, surface_seen},
     whitted::MaskedPixel,
 };
 use crate::{
@@ -25,17 +24,12 @@ pub fn masked_pixels(ctx: &FrameContext, list: &[u32], counts: &mut RayCounts) -
         list.iter().map(|p| camera_ray(camera, (p % width) as f32, (p / width) as f32, width, height)).collect();
     let mut hits = vec![Hit::MISS; rays.len()];
     ctx.accel.closest_hits(&rays, &mut hits);
-    let cone = PixelCone::of(camera, height);
     counts.camera += rays.len() as u64;
     rays.iter()
         .zip(&hits)
         .zip(list)
         .filter(|((_, hit), _)| hit.is_hit())
-        .map(|((ray, hit), &pixel)| MaskedPixel {
-            pixel,
-            surface: surface_seen(ctx.scene, ctx.normals, ray, hit, cone.at(hit.t)),
-            direction: ray.direction,
-        })
+        .map(|((ray, hit), &pixel)| MaskedPixel { pixel, direction: ray.direction, hit: *hit })
         .collect()
 }
 
