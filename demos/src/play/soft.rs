@@ -1,7 +1,7 @@
 //! The window without any graphics driver: picture and panel are drawn by the CPU and handed to the window system.
 
 use super::{
-    present::{PanelDrawing, Stage},
+    compositor::{PanelDrawing, Stage},
     shared::Picture,
 };
 use egui::{Color32, epaint::Primitive};

@@ -1,6 +1,6 @@
 //! The four worlds with a board: hall of mirrors, glass box, statue, atrium.
 
-use super::{Board, hall, looks};
+use super::{Board, hall, looks, marks};
 use crate::game::{
     Kind,
     boxes::BoxLevel,
@@ -82,7 +82,7 @@ fn rolling_box(level: &BoxLevel) -> (Stage, Board) {
         hall::framed(&mut stage, place, Vec3::X * -side, [d + 0.2, 0.62], silver);
     }
     let half = CELL * 0.5;
-    let mesh = stage.mesh(shapes::cuboid(Vec3::splat(half), hall::SIX));
+    let mesh = stage.mesh(marks::six_box(half));
     let matte = stage.material(Material::lambert(Vec3::ONE));
     player(&mut stage, mesh, matte, body(level, &board, half));
     hall::roaming_spot(&mut stage, Vec3::new(0.0, 0.0, 0.1), 2.6, [0.8, 0.6], WARM * 26.0);
@@ -104,12 +104,14 @@ fn donut(level: &BoxLevel) -> (Stage, Board) {
     hall::tiles(&mut stage, &board, level, &looks);
     // Behind the viewer, and beside him where the walls are out of sight.
     let lamps = [
-        hall::pane(&mut stage, Vec3::new(0.0, 1.6, max.z - 0.05), Vec3::NEG_Z, [w + 0.9, 1.5], looks.out),
-        hall::pane(&mut stage, Vec3::new(min.x + 0.05, 1.6, max.z - 1.0), Vec3::X, [0.9, 1.5], looks.out),
-        hall::pane(&mut stage, Vec3::new(max.x - 0.05, 1.6, max.z - 1.0), Vec3::NEG_X, [0.9, 1.5], looks.out),
+        (Vec3::new(0.0, 1.6, max.z - 0.05), Vec3::NEG_Z, [w + 0.9, 1.5]),
+        (Vec3::new(min.x + 0.05, 1.6, max.z - 1.0), Vec3::X, [0.9, 1.5]),
+        (Vec3::new(max.x - 0.05, 1.6, max.z - 1.0), Vec3::NEG_X, [0.9, 1.5]),
     ];
-    for lamp in lamps {
-        stage.world().entity_mut(lamp).insert(Look::Wanted);
+    for (center, normal, half) in lamps {
+        let by_hue = std::array::from_fn(|hue| stage.mesh(marks::pane_of(hue, center, normal, half)));
+        let lamp = stage.fixed(by_hue[0], looks.out, Transform::IDENTITY);
+        stage.world().entity_mut(lamp).insert(Look::Wanted(by_hue));
     }
     let half = CELL * 0.5;
     let mesh = stage.mesh(shapes::cuboid(Vec3::splat(half), [Vec3::ONE; 6]));
@@ -176,7 +178,9 @@ fn venus(level: &BoxLevel) -> (Stage, Board) {
     for i in 0..level.order.len() {
         let y = 0.35 + pitch * (i as f32 + 0.5);
         let place = Vec3::new(0.0, y, max.z - 0.05);
-        let lamp = hall::pane(&mut stage, place, Vec3::NEG_Z, [2.2, pitch * 0.42], looks.out);
+        let hue = level.order[i] as usize;
+        let mesh = stage.mesh(marks::pane_of(hue, place, Vec3::NEG_Z, [2.2, pitch * 0.42]));
+        let lamp = stage.fixed(mesh, looks.out, Transform::IDENTITY);
         stage.world().entity_mut(lamp).insert(Look::Lamp(i));
     }
     // Her mirror leans against the plinth, tilted up to the lamps: a plane shows the code that the folds scatter.
@@ -197,7 +201,7 @@ fn venus(level: &BoxLevel) -> (Stage, Board) {
     let plinth = stage.mesh(meshes.plinth);
     stage.fixed(plinth, marble, place);
     let half = CELL * 0.5;
-    let mesh = stage.mesh(shapes::cuboid(Vec3::splat(half), hall::SIX));
+    let mesh = stage.mesh(marks::six_box(half));
     let matte = stage.material(Material::lambert(Vec3::ONE));
     player(&mut stage, mesh, matte, body(level, &board, half));
     hall::roaming_spot(&mut stage, Vec3::new(0.0, 0.0, 0.0), 3.3, [0.6, 0.4], WARM * 34.0);
@@ -225,11 +229,13 @@ fn sponza(level: &BoxLevel) -> (Stage, Board) {
     for gate in 1..=3u8 {
         let z = (2.0 - f32::from(gate)) * 2.0 * ATRIUM_CELL;
         // The gate's glow, and its carpet, which a low side of the box shows first.
-        let pane = hall::pane(&mut stage, Vec3::new(8.9, 1.3, z), Vec3::NEG_X, [1.2, 1.3], looks.out);
+        let (center, half) = (Vec3::new(8.9, 1.3, z), [1.2, 1.3]);
+        let open = stage.mesh(marks::pane(center, Vec3::NEG_X, half));
+        let shut = stage.mesh(marks::crossed_pane(center, Vec3::NEG_X, half));
+        let pane = stage.fixed(open, looks.out, Transform::IDENTITY);
+        stage.world().entity_mut(pane).insert(Look::Gate(gate, Some([open, shut])));
         let carpet = hall::block(&mut stage, Vec3::new(8.0, 0.0, z), Vec3::new(0.9, 0.02, 1.1), looks.out);
-        for part in [pane, carpet] {
-            stage.world().entity_mut(part).insert(Look::Gate(gate));
-        }
+        stage.world().entity_mut(carpet).insert(Look::Gate(gate, None));
     }
     let half = ATRIUM_CELL * 0.5;
     let mirror = stage.material(Material::mirror(Vec3::new(0.86, 0.91, 0.95), 0.95));

@@ -1,6 +1,6 @@
 //! Parts that several worlds are made of.
 
-use super::{Board, TILE_HALF};
+use super::{Board, TILE_HALF, marks};
 use crate::game::{
     boxes::{BoxLevel, Tile},
     systems::{Look, Looks},
@@ -38,14 +38,9 @@ pub fn block(stage: &mut Stage, center: Vec3, half: Vec3, material: MaterialId) 
     stage.fixed(mesh, material, Transform::from_translation(center))
 }
 
-/// An upright rectangle of 2 `half` metres whose front looks along `normal`.
+/// Spawns an upright rectangle of 2 `half` metres whose front looks along `normal`.
 pub fn pane(stage: &mut Stage, center: Vec3, normal: Vec3, half: [f32; 2], material: MaterialId) -> Entity {
-    let along = Vec3::Y.cross(normal) * half[0];
-    let up = Vec3::Y * half[1];
-    let mesh: Mesh = shapes::ShapeBuilder::default()
-        .quad([center - along - up, center + along - up, center + along + up, center - along + up], Vec3::ONE)
-        .build();
-    let mesh = stage.mesh(mesh);
+    let mesh = stage.mesh(marks::pane(center, normal, half));
     stage.fixed(mesh, material, Transform::IDENTITY)
 }
 
@@ -82,6 +77,8 @@ pub fn tiles(stage: &mut Stage, board: &Board, level: &BoxLevel, looks: &Looks) 
     let slab = stage.mesh(shapes::cuboid(Vec3::new(half * 0.96, TILE_HALF, half * 0.96), [Vec3::ONE; 6]));
     let stone = stage.mesh(shapes::cuboid(Vec3::new(half * 0.9, half * 0.5, half * 0.9), [Vec3::ONE; 6]));
     let cracked = stage.mesh(cracked_slab(half * 0.96));
+    let pads: [MeshId; 6] =
+        std::array::from_fn(|hue| stage.mesh(marks::slab(Vec3::new(half * 0.96, TILE_HALF, half * 0.96), hue)));
     let floor = [0.60, 0.52].map(|a| stage.material(Material::lambert(Vec3::new(a, a * 0.97, a * 0.92))));
     let ice = stage.material(Material::lambert(Vec3::ONE));
     let white = stage.material(Material { emissive: Vec3::splat(0.5), ..Material::lambert(Vec3::splat(0.9)) });
@@ -98,7 +95,7 @@ pub fn tiles(stage: &mut Stage, board: &Board, level: &BoxLevel, looks: &Looks) 
             }
             Tile::Floor => (slab, plain),
             Tile::Cracked => (cracked, ice),
-            Tile::Coloured(hue) => (slab, looks.target[hue as usize]),
+            Tile::Coloured(hue) => (pads[hue as usize], looks.target[hue as usize]),
             Tile::Exit => (slab, white),
             Tile::Gate(_) => (slab, gate),
         };

@@ -1,0 +1,134 @@
+//! Win screen, pause, settings and keys.
+
+use super::{Menu, Shell, Wishes, display::stars};
+use crate::{
+    game::Action,
+    play::{
+        keys::Command,
+        shared::{Controls, Hud, Scale},
+    },
+};
+use egui::{Align2, RichText, Ui, Vec2};
+
+fn centred<'a>(title: &'a str) -> egui::Window<'a> {
+    egui::Window::new(title).collapsible(false).resizable(false).anchor(Align2::CENTER_CENTER, [0.0, 0.0])
+}
+
+/// A level is won.
+pub fn win(ui: &Ui, hud: Option<Hud>, shell: &mut Shell, controls: &mut Controls) {
+    let Some((hud, won)) = hud.and_then(|h| h.won.map(|won| (h, won))) else { return };
+    // Low, so that what was won stays in sight.
+    centred("Level won").anchor(Align2::CENTER_BOTTOM, [0.0, -70.0]).show(ui.ctx(), |ui| {
+        ui.vertical_centered(|ui| {
+            stars(ui, won, 44.0);
+            let (moves, par) = hud.moves;
+            let what = if hud.putter.is_some() { "putt" } else { "move" };
+            let plural = if moves == 1 { "" } else { "s" };
+            ui.label(RichText::new(format!("{}: {moves} {what}{plural}, par {par}", hud.name)).size(18.0));
+            let told = match won {
+                3 => "The shortest way, without help or slip.",
+                2 => "The shortest way. Without hint, undo and slip it is three stars.",
+                _ => "There is a shorter way.",
+            };
+            ui.label(told);
+            ui.add_space(8.0);
+        });
+        ui.horizontal(|ui| {
+            let next = (hud.level.0 + 1) % hud.level.1;
+            let name = if next == 0 { "First level" } else { "Next level" };
+            let mut go = |action: Action, shell: &mut Shell| {
+                controls.once.actions.push(action);
+                if let Some(hud) = &mut shell.hud {
+                    hud.won = None;
+                }
+            };
+            if ui.button(RichText::new(name).size(18.0)).clicked() {
+                go(Action::Level(next), shell);
+            }
+            if ui.button(RichText::new("Play again").size(18.0)).clicked() {
+                go(Action::Restart, shell);
+            }
+            if ui.button(RichText::new("All games").size(18.0)).clicked() {
+                shell.leave(controls);
+            }
+        });
+        ui.small(format!("{}: next level", shell.settings.key(Command::Strike)));
+    });
+}
+
+/// Time stands still.
+pub fn pause(ui: &Ui, shell: &mut Shell, controls: &mut Controls, wishes: &mut Wishes) {
+    centred("Pause").show(ui.ctx(), |ui| {
+        ui.set_min_width(220.0);
+        let big = |text: &str| egui::Button::new(RichText::new(text).size(18.0)).min_size(Vec2::new(220.0, 0.0));
+        if ui.add(big("Go on")).clicked() {
+            shell.toggle_pause(controls);
+        }
+        if shell.hud.is_some() && ui.add(big("Restart level")).clicked() {
+            controls.once.actions.push(Action::Restart);
+            shell.toggle_pause(controls);
+        }
+        if ui.add(big("Photo mode")).clicked() {
+            *wishes = shell.command(Command::Photo, controls);
+        }
+        if ui.add(big("Settings and keys")).clicked() {
+            shell.menu = Some(Menu::Settings(None));
+        }
+        if ui.add(big("All games")).clicked() {
+            shell.leave(controls);
+        }
+        if ui.add(big("Quit")).clicked() {
+            wishes.quit = true;
+        }
+    });
+}
+
+/// What is remembered between runs, keys included.
+pub fn settings(ui: &Ui, shell: &mut Shell, controls: &mut Controls, waiting: Option<Command>, wishes: &mut Wishes) {
+    centred("Settings").show(ui.ctx(), |ui| {
+        if ui.checkbox(&mut shell.settings.fullscreen, "fill the screen").clicked() {
+            // The window's own state follows by the wish.
+            shell.settings.fullscreen = !shell.settings.fullscreen;
+            wishes.fullscreen = true;
+        }
+        if ui.checkbox(&mut shell.settings.vsync, "wait for the screen (vsync)").changed() {
+            (wishes.vsync, wishes.save_settings) = (true, true);
+        }
+        let mut hold = shell.settings.rate > 0.0;
+        let mut changed = ui.checkbox(&mut hold, "picture size follows the frame rate").changed();
+        if changed {
+            shell.settings.rate = if hold { 20.0 } else { 0.0 };
+        }
+        if hold {
+            changed |= ui.add(egui::Slider::new(&mut shell.settings.rate, 5.0..=120.0).text("pictures/s")).changed();
+        }
+        if changed {
+            wishes.save_settings = true;
+            controls.scale = Scale::of_rate(shell.settings.rate);
+        }
+        ui.separator();
+        egui::Grid::new("settings.keys").num_columns(2).striped(true).show(ui, |ui| {
+            for (command, _, about, _) in Command::ALL {
+                ui.label(about);
+                let text = if waiting == Some(command) {
+                    "press a key".into()
+                } else {
+                    shell.settings.key(command).to_string()
+                };
+                let button = ui.button(text);
+                button.widget_info(|| egui::WidgetInfo::labeled(egui::Role::Button, true, format!("key of {about}")));
+                if button.clicked() {
+                    shell.menu = Some(Menu::Settings(Some(command)));
+                }
+                ui.end_row();
+            }
+        });
+        if ui.button("Standard keys").clicked() {
+            shell.settings.keys = Default::default();
+            wishes.save_settings = true;
+        }
+        if ui.button(RichText::new("Back").size(18.0)).clicked() {
+            shell.menu = Some(Menu::Pause);
+        }
+    });
+}
