@@ -8,6 +8,7 @@
 mod action;
 mod boxes;
 mod cube;
+mod follow;
 mod level;
 mod putt;
 mod replay;

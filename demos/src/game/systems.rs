@@ -4,6 +4,7 @@ use super::{
     action::Action,
     boxes::{BoxLevel, BoxState, Tile},
     cube::{Dir, Hue},
+    follow::lean,
     level::Body,
     putt::{aim_direction, shot_speed},
     session::{Move, Outcome, Session, State},
@@ -103,7 +104,7 @@ impl Plugin for GamePlugin {
         app.init_resource::<Input>();
         app.add_systems(FixedUpdate, act.before(Motion));
         app.add_systems(Startup, dress);
-        app.add_systems(FixedUpdate, (settle, carry_rings, dress).chain().after(Motion));
+        app.add_systems(FixedUpdate, (settle, carry_rings, dress, lean).chain().after(Motion));
     }
 }
 

@@ -29,6 +29,13 @@ pub struct PanelDrawing {
     pub stage: Stage,
 }
 
+impl Drop for PanelDrawing {
+    fn drop(&mut self) {
+        // egui takes textures that nobody took over for a mistake; where the device is lost there is nobody.
+        self.textures.clear();
+    }
+}
+
 /// The part of the window that the panel leaves to the picture, in pixels from the top left corner.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Stage {

@@ -254,4 +254,7 @@ fn style(ui: &Ui) {
 }
 
 #[cfg(test)]
+pub use tests::snapshots::measured;
+
+#[cfg(test)]
 mod tests;

@@ -21,6 +21,8 @@ use glam::{Quat, Vec3};
 const CELL: f32 = 0.5;
 /// Side of a field in the atrium: half of its bay, so that every other row ends under an arch.
 const ATRIUM_CELL: f32 = 1.3;
+/// How far the viewer of a hall leans after the box, and how far he turns to it.
+const LEAN: [Vec3; 2] = [Vec3::new(0.16, 0.0, 0.06), Vec3::new(0.22, 0.0, 0.10)];
 /// Warm white of the lights.
 const WARM: Vec3 = Vec3::new(1.0, 0.92, 0.80);
 
@@ -87,7 +89,7 @@ fn rolling_box(level: &BoxLevel) -> (Stage, Board) {
     player(&mut stage, mesh, matte, body(level, &board, half));
     hall::roaming_spot(&mut stage, Vec3::new(0.0, 0.0, 0.1), 2.6, [0.8, 0.6], WARM * 26.0);
     fill(&mut stage, Vec3::new(0.0, 2.5, eye.z - 0.2), target, WARM * 9.0);
-    hall::viewer(&mut stage, eye, target, 46.0);
+    hall::viewer(&mut stage, eye, target, 46.0, Vec3::ZERO, LEAN);
     (with(stage, looks), board)
 }
 
@@ -132,7 +134,7 @@ fn donut(level: &BoxLevel) -> (Stage, Board) {
     ));
     hall::roaming_spot(&mut stage, Vec3::new(0.0, 0.0, 0.1), 3.0, [0.7, 0.5], WARM * 26.0);
     fill(&mut stage, Vec3::new(0.0, 2.9, eye.z - 0.6), target, WARM * 8.0);
-    hall::viewer(&mut stage, eye, target, 46.0);
+    hall::viewer(&mut stage, eye, target, 46.0, Vec3::ZERO, LEAN);
     (with(stage, looks), board)
 }
 
@@ -167,7 +169,7 @@ fn venus(level: &BoxLevel) -> (Stage, Board) {
     let [w, d] = level.size.map(|n| f32::from(n) * CELL * 0.5);
     let (eye, _) = seat(level);
     let eye = eye + Vec3::new(0.0, 0.12, 0.65);
-    let target = Vec3::new(0.0, 0.66, -d);
+    let target = Vec3::new(0.0, 0.50, -d);
     let (min, max) = (Vec3::new(-w - 1.2, -0.05, -d - 2.2), Vec3::new(w + 1.2, 3.7, eye.z + 3.0));
     let dark = Vec3::new(0.20, 0.20, 0.23);
     let walls = [dark, dark, Vec3::splat(0.15), dark, Vec3::new(0.30, 0.28, 0.32), Vec3::splat(0.03)];
@@ -206,7 +208,7 @@ fn venus(level: &BoxLevel) -> (Stage, Board) {
     player(&mut stage, mesh, matte, body(level, &board, half));
     hall::roaming_spot(&mut stage, Vec3::new(0.0, 0.0, 0.0), 3.3, [0.6, 0.4], WARM * 34.0);
     fill(&mut stage, Vec3::new(0.0, 3.2, eye.z - 0.6), target, WARM * 9.0);
-    hall::viewer(&mut stage, eye, target, 46.0);
+    hall::viewer(&mut stage, eye, target, 50.0, Vec3::ZERO, LEAN);
     (with(stage, looks), board)
 }
 
@@ -255,7 +257,8 @@ fn sponza(level: &BoxLevel) -> (Stage, Board) {
     let sun = sway(Vec3::new(2.0, 17.0, 4.6), Vec3::new(1.6, 0.4, 0.4), [23.0, 17.0, 29.0], [0.0, 0.0, 0.8]);
     let aim = sway(Vec3::new(0.0, 0.0, -0.4), Vec3::new(0.6, 0.0, 0.3), [21.0, 17.0, 23.0], [0.3, 0.0, 0.0]);
     stage.spot(looking(sun, aim), WARM * (4.6 * 17.0 * 17.0), 0.14, 22.0, 32.0);
-    hall::viewer(&mut stage, Vec3::new(6.9, 1.85, 0.0), Vec3::new(0.0, 0.62, 0.0), 50.0);
+    let shares = [Vec3::new(0.0, 0.0, 0.12), Vec3::new(0.0, 0.0, 0.30)];
+    hall::viewer(&mut stage, Vec3::new(6.9, 1.85, 0.0), Vec3::new(0.0, 0.62, 0.0), 50.0, Vec3::ZERO, shares);
     (with(stage, looks), board)
 }
 

@@ -3,6 +3,7 @@
 use super::{Board, TILE_HALF, marks};
 use crate::game::{
     boxes::{BoxLevel, Tile},
+    follow::Lean,
     systems::{Look, Looks},
 };
 use crate::scenes::stage::{CAMERA_ID, Stage, looking, sway};
@@ -53,14 +54,16 @@ pub fn framed(stage: &mut Stage, center: Vec3, normal: Vec3, half: [f32; 2], mat
     pane(stage, center, normal, half, material);
 }
 
-/// Spawns the viewer, at rest.
-pub fn viewer(stage: &mut Stage, eye: Vec3, target: Vec3, fov_y_degrees: f32) {
+/// Spawns the viewer, who leans after the body that is played: shares of its way from the `middle` by axis for the eye and
+/// for what is looked at.
+pub fn viewer(stage: &mut Stage, eye: Vec3, target: Vec3, fov_y_degrees: f32, middle: Vec3, shares: [Vec3; 2]) {
     let lens =
         CameraProjection { projection: Projection::Perspective { fov_y: fov_y_degrees.to_radians() }, near: 0.02 };
     let pose = camera::world_from_view_looking_at(eye, target);
     let rotation = Quat::from_mat3(&pose.matrix3).normalize();
     let transform = Transform { translation: eye, rotation, scale: Vec3::ONE };
-    stage.world().spawn((StableId(CAMERA_ID), lens, transform));
+    let lean = Lean { eye, target, middle, eye_share: shares[0], target_share: shares[1], at: middle };
+    stage.world().spawn((StableId(CAMERA_ID), lens, transform, lean));
 }
 
 /// Spawns a roaming spot light over `center` that stays `height` above the floor. `reach`: how far it roams along x and z.

@@ -31,16 +31,17 @@ fn places(count: usize) -> Vec<Vec2> {
     places
 }
 
-/// Adds the pips of `hue` to a rectangle whose half sides are `right` and `up`; they look along right x up.
-fn pips(b: &mut ShapeBuilder, hue: usize, center: Vec3, right: Vec3, up: Vec3, color: Vec3) {
-    let side = right.length().min(up.length());
+/// Adds the pips of `hue` to a rectangle whose half sides are `right` and `up`; they look along right x up. `size`: of a pip, as a
+/// share of the shorter half side.
+fn pips(b: &mut ShapeBuilder, hue: usize, center: Vec3, right: Vec3, up: Vec3, size: f32, color: Vec3) {
+    let radius = right.length().min(up.length()) * size;
     let (x, y) = (right.normalize(), up.normalize());
     let center = center + x.cross(y) * LIFT;
     for place in places(PIPS[hue]) {
         let middle = center + right * (0.52 * place.x) + up * (0.52 * place.y);
         let corner = |i: u32| {
             let (s, c) = math::sin_cos(std::f32::consts::TAU * (i % CORNERS) as f32 / CORNERS as f32);
-            middle + (x * c + y * s) * (side * 0.15)
+            middle + (x * c + y * s) * radius
         };
         for i in 0..CORNERS {
             b.triangle([middle, corner(i), corner(i + 1)], color);
@@ -64,7 +65,7 @@ pub fn six_box(half: f32) -> Mesh {
     let mut b = ShapeBuilder::default();
     for (hue, (center, right, up)) in sides(Vec3::splat(half)).into_iter().enumerate() {
         b.quad(face(center, right, up), SIX[hue]);
-        pips(&mut b, hue, center, right, up, SIX[hue] * DARK);
+        pips(&mut b, hue, center, right, up, 0.15, SIX[hue] * DARK);
     }
     b.build()
 }
@@ -76,7 +77,7 @@ pub fn slab(half: Vec3, hue: usize) -> Mesh {
         b.quad(face(center, right, up), Vec3::ONE);
     }
     let top = Vec3::Y * half.y;
-    pips(&mut b, hue, top, Vec3::X * half.x, Vec3::NEG_Z * half.z, Vec3::splat(DARK));
+    pips(&mut b, hue, top, Vec3::X * half.x, Vec3::NEG_Z * half.z, 0.15, Vec3::splat(DARK));
     b.build()
 }
 
@@ -90,7 +91,7 @@ pub fn pane_of(hue: usize, center: Vec3, normal: Vec3, half: [f32; 2]) -> Mesh {
     let (right, up) = (Vec3::Y.cross(normal) * half[0], Vec3::Y * half[1]);
     let mut b = ShapeBuilder::default();
     b.quad(face(center, right, up), Vec3::ONE);
-    pips(&mut b, hue, center, right, up, Vec3::splat(DARK));
+    pips(&mut b, hue, center, right, up, 0.23, Vec3::splat(DARK));
     b.build()
 }
 

@@ -33,12 +33,17 @@ pub fn over(ui: &Ui, name: &str, rect: Rect, align: Align2, content: impl FnOnce
 pub fn display(ui: &Ui, shell: &mut Shell, hud: &Hud, controls: &mut Controls) {
     let white = |text: String| RichText::new(text).color(Color32::WHITE);
     let rect = shell.stage;
+    let area = ui.ctx().memory(|m| m.area_rect(egui::Id::unique("display.goal")));
+    let pointed = area.zip(ui.ctx().pointer_hover_pos()).is_some_and(|(area, at)| area.contains(at));
     over(ui, "display.goal", rect, Align2::LEFT_TOP, |ui| {
         ui.set_max_width((rect.width() - 230.0).max(120.0));
         let (level, levels) = hud.level;
         ui.label(white(format!("{}  {}/{levels}  {}", hud.kind.title(), level + 1, hud.name)).size(17.0).strong());
-        ui.label(white(hud.kind.goal().into()));
-        ui.label(RichText::new(hud.kind.look()).color(Color32::from_gray(190)).small());
+        // After the first move they would hide what there is to see; pointing at the title brings them back.
+        if hud.moves.0 == 0 || pointed {
+            ui.label(white(hud.kind.goal().into()));
+            ui.label(RichText::new(hud.kind.look()).color(Color32::from_gray(190)).small());
+        }
         if !hud.message.is_empty() {
             ui.label(RichText::new(&hud.message).color(Color32::from_rgb(255, 214, 90)).size(17.0));
         }

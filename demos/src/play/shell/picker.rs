@@ -5,9 +5,9 @@ use crate::{cli::Target, game::Kind, play::shared::Controls, scenes::SCENES};
 use egui::{Align2, Color32, Rect, RichText, Sense, Stroke, Ui, Vec2};
 
 /// Height of a card's text under its picture, points.
-const TEXT_HEIGHT: f32 = 86.0;
+const TEXT_HEIGHT: f32 = 94.0;
 /// Height of the title.
-const TITLE_HEIGHT: f32 = 90.0;
+const TITLE_HEIGHT: f32 = 112.0;
 /// Distance between cards.
 const GAP: f32 = 16.0;
 
@@ -16,7 +16,8 @@ pub fn picker(ui: &mut Ui, shell: &mut Shell, controls: &mut Controls, wishes: &
     let window = shell.stage.size();
     let (columns, width) = layout(window);
     egui::Area::new(egui::Id::unique("picker")).anchor(Align2::CENTER_CENTER, [0.0, 0.0]).show(ui.ctx(), |ui| {
-        egui::ScrollArea::vertical().max_height((window.y - 16.0).max(60.0)).show(ui, |ui| {
+        let height = (window.y - 16.0).max(60.0);
+        egui::ScrollArea::vertical().max_height(height).min_scrolled_height(height).show(ui, |ui| {
             ui.set_width(columns as f32 * (width + GAP) - GAP);
             ui.vertical_centered(|ui| {
                 ui.label(RichText::new("Catoptra").size(40.0).strong().color(Color32::WHITE));
