@@ -322,9 +322,10 @@ impl App {
         let Some(command) = self.shell.settings.keys.command(&name) else {
             let digit = name.parse().ok().and_then(scene_by_number);
             if let Some(target) = digit {
-                self.shell.hud = None;
-                self.shell.menu = None;
-                self.change(|c| (c.target, c.paused, c.photo) = (Some(target), false, None));
+                let mut controls = self.controls.clone();
+                self.shell.leave(&mut controls);
+                controls.target = Some(target);
+                self.change(|c| *c = controls);
             }
             return;
         };

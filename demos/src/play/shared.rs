@@ -74,11 +74,13 @@ pub struct Photo {
     pub fov: f32,
     /// The high preset, which takes its time.
     pub high: bool,
+    /// Exposure in stops to go back to afterwards.
+    pub before_ev: f32,
 }
 
 impl Photo {
-    /// From a camera of the world.
-    pub fn of(camera: &Camera) -> Self {
+    /// From a camera of the world, and the exposure that it is seen with.
+    pub fn of(camera: &Camera, before_ev: f32) -> Self {
         let d = -camera.world_from_view.matrix3.z_axis;
         let fov = match camera.projection {
             catoptra_engine::Projection::Perspective { fov_y } => fov_y.to_degrees(),
@@ -86,7 +88,7 @@ impl Photo {
         };
         let flat = (d.x * d.x + d.z * d.z).sqrt();
         let (yaw, pitch) = (math::atan2(-d.x, -d.z), math::atan2(d.y, flat));
-        Self { eye: camera.world_from_view.translation, yaw, pitch, fov, high: false }
+        Self { eye: camera.world_from_view.translation, yaw, pitch, fov, high: false, before_ev }
     }
 
     /// Unit directions ahead and to the right.
@@ -400,7 +402,7 @@ mod tests {
     fn the_free_camera_begins_where_the_world_s_own_stands() {
         let eye = glam::Vec3::new(1.0, 2.0, 3.0);
         let own = Camera::looking_at(eye, glam::Vec3::new(-0.5, 0.5, -1.0), 0.8);
-        let free = Photo::of(&own).camera(own.near);
+        let free = Photo::of(&own, 0.0).camera(own.near);
         let (a, b) = (own.world_from_view, free.world_from_view);
         assert!((a.translation - b.translation).length() < 1e-5);
         assert!((a.matrix3.z_axis - b.matrix3.z_axis).length() < 1e-5);

@@ -114,7 +114,7 @@ impl Shell {
             Command::Photo if controls.target.is_some() => match controls.photo {
                 Some(_) => self.end_photo(controls),
                 None => {
-                    controls.photo = Some(Photo::of(&self.camera));
+                    controls.photo = Some(Photo::of(&self.camera, controls.exposure_ev));
                     controls.paused = true;
                     self.menu = None;
                 }
@@ -173,16 +173,17 @@ impl Shell {
     }
 
     fn end_photo(&mut self, controls: &mut Controls) {
-        controls.photo = None;
+        if let Some(photo) = controls.photo.take() {
+            controls.exposure_ev = photo.before_ev;
+        }
         controls.paused = false;
     }
 
     /// Back to all games.
-    fn leave(&mut self, controls: &mut Controls) {
+    pub fn leave(&mut self, controls: &mut Controls) {
         (self.menu, self.hud, self.tree) = (None, None, None);
         controls.target = None;
-        controls.photo = None;
-        controls.paused = false;
+        self.end_photo(controls);
     }
 }
 

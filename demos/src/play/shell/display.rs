@@ -89,8 +89,7 @@ fn buttons(ui: &mut Ui, shell: &mut Shell, hud: &Hud, controls: &mut Controls) {
         let best = shell.settings.best(hud.kind.name(), n);
         let name = format!("Level {}", n + 1);
         let stars = best.map_or("not won yet".into(), |b| format!("{} of 3 stars", b.stars));
-        // What is won has a mark that no colour is needed for.
-        let shown = if best.is_some() { format!("{name} \u{2714}") } else { name.clone() };
+        let shown = if best.is_some() { format!("{name}: won") } else { name.clone() };
         let label = ui.selectable_label(n == level, shown).on_hover_text(stars);
         label.widget_info(|| egui::WidgetInfo::selected(egui::Role::Button, true, n == level, &name));
         if label.clicked() {

@@ -230,7 +230,9 @@ fn pause_menu_settings_and_keys() {
     assert!(harness.state().controls.photo.is_some());
     click(&mut harness, "Save EXR");
     assert_eq!(harness.state().controls.once.save, Some(SaveAs::Exr));
+    harness.state_mut().controls.exposure_ev = 2.5;
     click(&mut harness, "Back to the game");
+    assert_eq!(harness.state().controls.exposure_ev, 0.0, "a photo's exposure is not the game's");
     assert!(harness.state().controls.photo.is_none() && !harness.state().controls.paused);
 }
 
