@@ -20,7 +20,7 @@ pub fn win(ui: &Ui, hud: Option<Hud>, shell: &mut Shell, controls: &mut Controls
     let Some((hud, won)) = hud.and_then(|h| h.won.map(|won| (h, won))) else { return };
     // Low, so that what was won stays in sight.
     centred("Level won").anchor(Align2::CENTER_BOTTOM, [0.0, -70.0]).show(ui.ctx(), |ui| {
-        ui.set_width(330.0);
+        ui.set_width(350.0);
         ui.vertical_centered(|ui| {
             stars(ui, won, 44.0);
             let (moves, par) = hud.moves;
@@ -35,26 +35,28 @@ pub fn win(ui: &Ui, hud: Option<Hud>, shell: &mut Shell, controls: &mut Controls
             ui.label(told);
             ui.add_space(8.0);
         });
-        ui.horizontal(|ui| {
-            let next = (hud.level.0 + 1) % hud.level.1;
-            let name = if next == 0 { "First level" } else { "Next level" };
-            let mut go = |action: Action, shell: &mut Shell| {
-                controls.once.actions.push(action);
-                if let Some(hud) = &mut shell.hud {
-                    hud.won = None;
+        let next = (hud.level.0 + 1) % hud.level.1;
+        let choices = [
+            (if next == 0 { "First level" } else { "Next level" }, Some(Action::Level(next))),
+            ("Play again", Some(Action::Restart)),
+            ("All games", None),
+        ];
+        ui.columns(choices.len(), |columns| {
+            for (ui, (name, action)) in columns.iter_mut().zip(choices) {
+                let button = ui.vertical_centered_justified(|ui| ui.button(RichText::new(name).size(18.0))).inner;
+                match action {
+                    _ if !button.clicked() => {}
+                    None => shell.leave(controls),
+                    Some(action) => {
+                        controls.once.actions.push(action);
+                        if let Some(hud) = &mut shell.hud {
+                            hud.won = None;
+                        }
+                    }
                 }
-            };
-            if ui.button(RichText::new(name).size(18.0)).clicked() {
-                go(Action::Level(next), shell);
-            }
-            if ui.button(RichText::new("Play again").size(18.0)).clicked() {
-                go(Action::Restart, shell);
-            }
-            if ui.button(RichText::new("All games").size(18.0)).clicked() {
-                shell.leave(controls);
             }
         });
-        ui.small(format!("{}: next level", shell.settings.key(Command::Strike)));
+        ui.vertical_centered(|ui| ui.small(format!("{}: next level", shell.settings.key(Command::Strike))));
     });
 }
 
