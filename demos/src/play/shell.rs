@@ -117,6 +117,8 @@ impl Shell {
                     controls.photo = Some(Photo::of(&self.camera, controls.exposure_ev));
                     controls.paused = true;
                     self.menu = None;
+                    // What is told from now on is about photos.
+                    self.message.clear();
                 }
             },
             _ if self.menu.is_some() || controls.target.is_none() => {}
@@ -224,7 +226,8 @@ pub fn ui(ui: &mut Ui, shell: &mut Shell, controls: &mut Controls) -> Wishes {
         display::display(ui, shell, &hud, controls);
     }
     if let Some((tree, names)) = &shell.tree
-        && !explain_view::window(ui, tree, names)
+        && controls.photo.is_none()
+        && !explain_view::window(ui, shell.stage, tree, names)
     {
         shell.tree = None;
     }

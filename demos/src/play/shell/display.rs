@@ -24,9 +24,13 @@ pub fn over(ui: &Ui, name: &str, rect: Rect, align: Align2, content: impl FnOnce
     };
     let margin =
         Vec2::new(10.0, 10.0) * Vec2::new(-(align.x().to_factor() * 2.0 - 1.0), -(align.y().to_factor() * 2.0 - 1.0));
-    egui::Area::new(egui::Id::unique(name))
-        .anchor(align, offset + margin)
-        .show(ui.ctx(), |ui| shade().show(ui, content));
+    egui::Area::new(egui::Id::unique(name)).anchor(align, offset + margin).show(ui.ctx(), |ui| {
+        // Plain on the dark ground, whatever the picture behind it is.
+        let widgets = &mut ui.visuals_mut().widgets;
+        (widgets.inactive.bg_fill, widgets.inactive.weak_bg_fill) = (Color32::from_gray(85), Color32::from_gray(65));
+        widgets.noninteractive.fg_stroke.color = Color32::from_gray(190);
+        shade().show(ui, content)
+    });
 }
 
 /// Goal, moves and par, buttons.

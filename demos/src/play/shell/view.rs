@@ -81,10 +81,9 @@ pub fn photo_bar(ui: &Ui, shell: &mut Shell, controls: &mut Controls) {
                 shell.end_photo(controls);
             }
         });
-        ui.small(if shell.message.is_empty() {
-            "drag: look; wheel or arrows: walk; Space: rise"
-        } else {
-            shell.message.as_str()
-        });
+        ui.small("drag: look; wheel or arrows: walk; Space: rise");
+        if !shell.message.is_empty() {
+            ui.small(&shell.message);
+        }
     });
 }
