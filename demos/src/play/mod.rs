@@ -6,6 +6,7 @@
 //! two mailboxes (`shared`): what the user wants, and the newest picture.
 
 mod app;
+mod compositor;
 mod explain_view;
 mod keys;
 mod overlay;
@@ -80,7 +81,7 @@ pub fn play(args: &PlayArgs) -> Result<(), PlayError> {
     }
     let mut controls = Controls::new(target, &args.picture)?;
     controls.game = !args.watch;
-    app::run(controls, &args.picture, args.record.clone(), args.seconds, args.window)
+    app::run(controls, args)
 }
 
 /// The scene with a number of the list, from 1, for picking by key.
