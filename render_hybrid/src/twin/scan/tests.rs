@@ -33,7 +33,8 @@ fn crowd() -> RenderScene {
         let far = [2.0, 8.0, 60.0, 900.0][i as usize % 4];
         let translation = Vec3::new(next(), next(), next()) * far;
         let size = [0.05, 0.4, 3.0][i as usize / 4 % 3];
-        let scale = Vec3::new(size, size * if i % 5 == 0 { -1.0 } else { 1.0 }, size * if i % 7 == 0 { 4.0 } else { 1.0 });
+        let scale =
+            Vec3::new(size, size * if i % 5 == 0 { -1.0 } else { 1.0 }, size * if i % 7 == 0 { 4.0 } else { 1.0 });
         let rotation = Quat::from_xyzw(next(), next(), next(), next() + 2.0).normalize();
         let world_from_object = Affine3::from_scale_rotation_translation(scale, rotation, translation);
         scene.instances.push(Instance { stable_id: i.into(), mesh: i % 3, material: 0, world_from_object });
