@@ -105,3 +105,40 @@ fn memory_is_kept() {
     let (first, again) = (build(), build());
     assert!(first == again && !first.0.is_empty());
 }
+
+/// `cargo test -p catoptra_tests -p catoptra_render_hybrid --lib which_way -- --ignored --nocapture`: what the rule of
+/// [`super::crowd`] was chosen by.
+#[test]
+#[ignore = "prints times"]
+fn which_way_is_faster() {
+    let level = simd::resolve(SimdLevel::Auto).unwrap();
+    for (rings, segments) in [(16, 17), (32, 48), (90, 90), (126, 126), (500, 1000)] {
+        let mesh = shapes::sphere(1.0, rings, segments);
+        let triangles = mesh.triangles().len();
+        let scene = RenderScene {
+            meshes: vec![mesh.into()],
+            materials: vec![Material::default()],
+            camera: Camera::looking_at(Vec3::Z * 3.0, Vec3::ZERO, 0.8),
+            instances: vec![Instance { stable_id: 1, mesh: 0, material: 0, world_from_object: Affine3::IDENTITY }],
+            ..RenderScene::default()
+        };
+        let mut accel = Accel::new(AccelOptions::default()).unwrap();
+        accel.update(&scene);
+        for size in [16, 32, 64, 128, 256, 512, 1024] {
+            let view = ScanView::of_camera(&scene.camera, size, size);
+            let time = |ways| {
+                let mut list = ScanList::with_ways(ways);
+                let times = (0..9).map(|_| {
+                    let start = std::time::Instant::now();
+                    list.build(level, &view, &scene, &accel);
+                    start.elapsed().as_secs_f64() * 1e6
+                });
+                times.fold(f64::INFINITY, f64::min)
+            };
+            let (each, searched) = (time(Ways::NoneSearched), time(Ways::AllSearched));
+            // The ball is 0.84 of the picture high.
+            let per_pixel = triangles as f64 / (0.84 * 0.84 * f64::from(size) * f64::from(size));
+            println!("{triangles} triangles, {size}: {per_pixel:.3} a pixel, each {each:.0} us, searched {searched:.0} us");
+        }
+    }
+}
