@@ -138,7 +138,9 @@ fn which_way_is_faster() {
             let (each, searched) = (time(Ways::NoneSearched), time(Ways::AllSearched));
             // The ball is 0.84 of the picture high.
             let per_pixel = triangles as f64 / (0.84 * 0.84 * f64::from(size) * f64::from(size));
-            println!("{triangles} triangles, {size}: {per_pixel:.3} a pixel, each {each:.0} us, searched {searched:.0} us");
+            println!(
+                "{triangles} triangles, {size}: {per_pixel:.3} a pixel, each {each:.0} us, searched {searched:.0} us"
+            );
         }
     }
 }
