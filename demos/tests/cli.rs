@@ -474,8 +474,8 @@ fn animated_triangle() -> String {
         ),
         (r#""byteLength":36}],"#, r#""byteLength":36},{"buffer":1,"byteLength":56}],"#.into()),
         (
-            r#"AACAPwAAAAA"}]"#,
-            format!(r#"AACAPwAAAAA"}},{{"byteLength":56,"uri":"data:application/octet-stream,{bytes}"}}]"#),
+            r#"gD8AAAAA"}]"#,
+            format!(r#"gD8AAAAA"}},{{"byteLength":56,"uri":"data:application/octet-stream,{bytes}"}}]"#),
         ),
     ];
     more.iter().fold(TRIANGLE.replace("TRANSLATION", "[0,0,0]"), |text, (from, to)| {

@@ -126,7 +126,8 @@ fn specular_factor_and_color_follow_their_textures() {
         "specularColorFactor":[1,1,0.5],"specularColorTexture":{"index":1}}}}"#,
         &[[[9, 9, 9, 255], [9, 9, 9, 51]], [[255, 0, 255, 7], [255, 255, 255, 7]]],
     );
-    let lit = |reflectance: Vec3| color + reflectance * (0.04 * 0.5 * lobe(0.5));
+    // F0 · factor · (1 − r).
+    let lit = |reflectance: Vec3| color + reflectance * (0.04 * 0.5 * 0.5 * lobe(0.5));
     let expected = [lit(Vec3::new(1.0, 0.0, 0.5)), lit(Vec3::new(1.0, 1.0, 0.5) * 0.2)];
     assert!((expected[0] - expected[1]).length() > 0.02, "the halves differ enough to be told apart");
     expect("specular_factor_and_color_follow_their_textures", &model, Vec3::ZERO, expected);
@@ -165,7 +166,7 @@ fn gloss_and_reflectance_make_metal_and_matte_place_by_place() {
         sky,
         [gold * sky, Vec3::new(0.5, 1.0, 1.0)],
     );
-    assert!(model.materials[0].is_traced() && model.materials[0].physical.is_some());
+    assert!(model.materials[0].physical.is_some_and(|p| p.by_reflectance));
 }
 
 #[test]
