@@ -22,7 +22,7 @@ pub fn run(args: &BenchArgs) -> Result<(), Failure> {
     let settings = args.picture.settings(DEFAULT_SIZE)?;
     let targets = Target::parse(&args.target)?;
     refuse_more_than_memory(&settings)?;
-    let options = args.picture.scene.options();
+    let options = args.picture.scene.options_for(&targets)?;
     let mut renderer = args.picture.renderer()?;
     let recording = trace_file::start(args.picture.trace.as_deref())?;
     let json_alone = args.json.as_deref() == Some(Path::new("-"));

@@ -79,6 +79,10 @@ pub fn play(args: &PlayArgs) -> Result<(), PlayError> {
         let why = format!("--record {}: only games are recorded, and this is watched", path.display());
         return Err(PlayError::Other(Failure::usage(why)));
     }
+    if args.picture.scene.animation.is_some() && !matches!(target, Some(Target::File(_))) {
+        let why = "--animation chooses among a file's animations; name a glTF or GLB file";
+        return Err(PlayError::Other(Failure::usage(why)));
+    }
     let mut controls = Controls::new(target, &args.picture)?;
     controls.game = !args.watch;
     app::run(controls, args)

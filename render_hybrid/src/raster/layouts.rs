@@ -3,7 +3,7 @@
 
 use bytemuck::{Pod, Zeroable};
 use catoptra_engine::{
-    Light, LightKind, Material, Mesh, Mip, Projection, RenderScene, Texture, TextureRef,
+    Light, LightKind, Material, Mesh, Mip, Physical, Projection, RenderScene, Texture, TextureRef,
     glam::{Affine3, Mat3, Vec3},
 };
 
@@ -17,6 +17,8 @@ pub(crate) const TEXTURE_MIP_NEAREST: u32 = 16;
 pub(crate) const TEXTURE_MIP_LINEAR: u32 = 32;
 pub(crate) const PHYSICAL: u32 = 1;
 pub(crate) const PHYSICAL_BLENDED: u32 = 2;
+pub(crate) const PHYSICAL_REFLECTANCE: u32 = 4;
+pub(crate) const PHYSICAL_BY_REFLECTANCE: u32 = 8;
 pub(crate) const NO_TEXTURE: u32 = u32::MAX;
 pub(crate) const LIGHT_POINT: u32 = 0;
 pub(crate) const LIGHT_SPOT: u32 = 1;
@@ -222,6 +224,8 @@ pub(crate) struct MaterialData {
     pub unused0: u32,
     pub unused1: u32,
     pub unused2: u32,
+    pub reflectance_texture: TextureRefData,
+    pub reflectance_strength_texture: TextureRefData,
 }
 
 impl MaterialData {
@@ -253,13 +257,24 @@ impl MaterialData {
             metallic_roughness_texture: texture(&p.and_then(|p| p.metallic_roughness_texture)),
             transmission_texture: texture(&p.and_then(|p| p.transmission_texture)),
             reflectance: p.map_or(Vec3::ZERO, |p| p.reflectance),
-            physical: p.map_or(0, |p| if p.blended { PHYSICAL | PHYSICAL_BLENDED } else { PHYSICAL }),
+            physical: p.map_or(0, physical_flags),
             physical_transmission: p.map_or(0.0, |p| p.transmission),
             unused0: 0,
             unused1: 0,
             unused2: 0,
+            reflectance_texture: texture(&p.and_then(|p| p.reflectance_texture)),
+            reflectance_strength_texture: texture(&p.and_then(|p| p.reflectance_strength_texture)),
         }
     }
+}
+
+fn physical_flags(p: Physical) -> u32 {
+    let flag = |on: bool, bit: u32| if on { bit } else { 0 };
+    let varies = p.reflectance_texture.is_some() || p.reflectance_strength_texture.is_some();
+    PHYSICAL
+        | flag(p.blended, PHYSICAL_BLENDED)
+        | flag(varies, PHYSICAL_REFLECTANCE)
+        | flag(p.by_reflectance, PHYSICAL_BY_REFLECTANCE)
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
@@ -483,7 +498,9 @@ mod tests {
             physical_transmission,
             unused0,
             unused1,
-            unused2
+            unused2,
+            reflectance_texture,
+            reflectance_strength_texture
         );
         assert_layout!(
             "direct",

@@ -55,7 +55,7 @@ pub fn trace_light(ctx: &FrameContext, lights: bool, vpls: bool, counts: &mut Ra
     let (width, height, tile) = (ctx.settings.width, ctx.settings.height, ctx.settings.tile);
     let light_count = if lights { ctx.scene.lights.len() } else { 0 };
     let mut scan = CameraScan::default();
-    scan.build(ctx.scene, ctx.accel, [width, height]);
+    scan.build(ctx.level, ctx.scene, ctx.accel, [width, height]);
     let bands: Vec<(Vec<Vec<f32>>, Vec<[f32; 3]>, RayCounts)> = (0..height.div_ceil(tile))
         .into_par_iter()
         .map(|band| {

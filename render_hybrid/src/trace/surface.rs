@@ -1,6 +1,8 @@
 //! From a hit to everything that shading needs to know of the place.
 
-use catoptra_engine::{Camera, Look, PhysicalPlace, Projection, RenderScene, TextureRef, math};
+use catoptra_engine::{
+    Camera, Look, PhysicalPlace, Projection, RenderScene, TextureRef, material::metal_of_reflectance, math,
+};
 use glam::{Mat3, Vec2, Vec3};
 
 use super::optics::leave;
@@ -305,7 +307,21 @@ pub fn surface_seen(scene: &RenderScene, normals: &NormalMatrices, ray: &Ray, hi
             if let Some(r) = &p.transmission_texture {
                 at.transmission *= sample(r).x;
             }
-            let look = p.look(base_color, at);
+            let mut reflectance = p.reflectance;
+            if let Some(r) = &p.reflectance_texture {
+                let texel = sample(r);
+                reflectance *= texel.truncate();
+                if p.by_reflectance {
+                    at.roughness = 1.0 - (1.0 - at.roughness) * texel.w;
+                }
+            }
+            if let Some(r) = &p.reflectance_strength_texture {
+                reflectance *= sample(r).w;
+            }
+            if p.by_reflectance {
+                (base_color, at.metallic) = metal_of_reflectance(base_color, reflectance);
+            }
+            let look = at.look(reflectance, base_color);
             emission *= coverage;
             if material.unlit {
                 base_color *= coverage;

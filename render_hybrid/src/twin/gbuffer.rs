@@ -3,7 +3,7 @@
 //!
 //! Twin: `shaders/gbuffer.wgsl`.
 
-use catoptra_engine::{Camera, Projection};
+use catoptra_engine::{Camera, Projection, RenderScene};
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
 
@@ -12,7 +12,8 @@ use super::{
     tile::TileRect,
 };
 use crate::{
-    accel::{Hit, Ray},
+    accel::{Accel, Hit, Ray},
+    settings::SimdLevel,
     simd::dispatch,
     trace::{
         facet::{Facet, FacetLanes, FacetSource, Facets},
@@ -51,9 +52,9 @@ pub struct GBuffer {
 
 impl CameraScan {
     /// Sets up all triangles for the camera; reuses the memory.
-    pub fn build(&mut self, scene: &catoptra_engine::RenderScene, accel: &crate::accel::Accel, size: [u32; 2]) {
+    pub fn build(&mut self, level: SimdLevel, scene: &RenderScene, accel: &Accel, size: [u32; 2]) {
         self.view = ScanView::of_camera(&scene.camera, size[0], size[1]);
-        self.list.build(&self.view, scene, accel);
+        self.list.build(level, &self.view, scene, accel);
     }
 }
 

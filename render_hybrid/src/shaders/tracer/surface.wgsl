@@ -250,7 +250,20 @@ fn surface_at(direction: vec3f, hit: Hit, pixel_width: f32) -> SurfacePoint {
             let alpha = interpolated(vertices, VERTEX_POSITION, weights).w;
             place.coverage = clamp(factors.y * texel.w * alpha, 0.0, 1.0);
         }
-        look = physical_look(float3(physical), base_color, place);
+        var reflectance = float3(physical);
+        if (physical.w & PHYSICAL_REFLECTANCE) != 0u {
+            let sheen = textured(m + 24u, seen);
+            reflectance *= sheen.xyz * textured(m + 27u, seen).w;
+            if (physical.w & PHYSICAL_BY_REFLECTANCE) != 0u {
+                place.roughness = 1.0 - (1.0 - place.roughness) * sheen.w;
+            }
+        }
+        if (physical.w & PHYSICAL_BY_REFLECTANCE) != 0u {
+            let metal_color = metal_of_reflectance(base_color, reflectance);
+            base_color = metal_color.xyz;
+            place.metallic = metal_color.w;
+        }
+        look = physical_look(reflectance, base_color, place);
         emission *= place.coverage;
         if mask.z != 0u {
             base_color *= place.coverage;
