@@ -144,31 +144,26 @@ impl Meeting {
         self.optics.clear();
         let first = &hits[0];
         let same = |h: &Hit| h.instance_id == first.instance_id && h.primitive_id == first.primitive_id;
+        let mut special = 0u16;
         let uniform = first.is_hit() && hits.iter().all(same);
         let (arriving, directions, surface) = (&self.arriving, &self.optics.direction, &mut self.surface);
         if uniform {
             let facet = facets.of(ctx, first.instance_id, first.primitive_id);
             meet_one(ctx.level, facet, arriving, directions, surface);
-            if facet.is_plain() {
-                return;
-            }
+            special = if facet.is_plain() { 0 } else { ((1u32 << hits.len()) - 1) as u16 };
         } else {
-            let mut plain = true;
             for (lane, hit) in hits.iter().enumerate().filter(|(_, h)| h.is_hit()) {
                 let facet = facets.of(ctx, hit.instance_id, hit.primitive_id);
                 self.facets.put(lane, facet);
-                plain &= facet.is_plain();
+                special |= u16::from(!facet.is_plain()) << lane;
             }
             meet_each(ctx.level, &self.facets, arriving, directions, surface);
-            if plain {
-                return;
-            }
         }
-        for (lane, hit) in hits.iter().enumerate().filter(|(_, h)| h.is_hit()) {
+        while special != 0 {
+            let lane = special.trailing_zeros() as usize;
+            special &= special - 1;
+            let hit = &hits[lane];
             let facet = facets.of(ctx, hit.instance_id, hit.primitive_id);
-            if facet.is_plain() {
-                continue;
-            }
             let (mut look, mut optics) = (facet.look, facet.optics);
             if facet.is_odd() {
                 let ray = Ray::new(Vec3::ZERO, self.direction(lane));

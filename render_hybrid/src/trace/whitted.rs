@@ -67,6 +67,7 @@ pub struct WhittedScratch {
     hits: Vec<Hit>,
     /// Whose they are.
     branch_of: Vec<u32>,
+    kinds: Vec<u8>,
     /// Slot and weight of each point.
     shaded: Vec<(u32, Vec3)>,
     surfaces: Vec<Surface>,
@@ -93,6 +94,7 @@ impl WhittedScratch {
         make_room(&mut self.rays, wave);
         make_room(&mut self.hits, wave);
         make_room(&mut self.branch_of, wave);
+        make_room(&mut self.kinds, wave);
         make_room(&mut self.shaded, points);
         make_room(&mut self.surfaces, points);
         self.points.reserve([points, glossy]);
@@ -235,30 +237,32 @@ pub(super) fn trace_wave(
 /// about.
 const KINDS: usize = 48;
 
-fn kind(b: &Branch) -> usize {
+fn kind(b: &Branch) -> u8 {
     let d = b.ray.direction;
     let a = d.abs();
-    let axis = if a.x >= a.y && a.x >= a.z { 0 } else { 1 + usize::from(a.y < a.z) };
-    let signs = usize::from(d.x < 0.0) + 2 * usize::from(d.y < 0.0) + 4 * usize::from(d.z < 0.0);
-    24 * usize::from(b.refraction) + 8 * axis + signs
+    let axis = if a.x >= a.y && a.x >= a.z { 0 } else { 1 + u32::from(a.y < a.z) };
+    let signs = d.x.to_bits() >> 31 | d.y.to_bits() >> 31 << 1 | d.z.to_bits() >> 31 << 2;
+    (24 * u32::from(b.refraction) + 8 * axis + signs) as u8
 }
 
 /// Traces the wave's rays in an order in which neighbours are alike (a counting sort, which keeps the order of rays of a
 /// kind: a pixel's rays are always in the same order, whatever other pixels the tile has).
 fn trace_sorted(ctx: &FrameContext, s: &mut WhittedScratch) {
     let mut first = [0u32; KINDS + 1];
-    s.branch_of.clear();
     s.branch_of.resize(s.wave.len(), 0);
+    s.kinds.clear();
     for b in &s.wave {
-        first[kind(b) + 1] += 1;
+        let kind = kind(b);
+        s.kinds.push(kind);
+        first[usize::from(kind) + 1] += 1;
     }
     for k in 0..KINDS {
         first[k + 1] += first[k];
     }
     s.rays.resize(s.wave.len(), Ray::new(Vec3::ZERO, Vec3::ZERO));
     s.hits.resize(s.wave.len(), Hit::MISS);
-    for (i, b) in s.wave.iter().enumerate() {
-        let next = &mut first[kind(b)];
+    for (i, (b, kind)) in s.wave.iter().zip(&s.kinds).enumerate() {
+        let next = &mut first[usize::from(*kind)];
         s.branch_of[*next as usize] = i as u32;
         s.rays[*next as usize] = b.ray;
         *next += 1;
