@@ -30,9 +30,9 @@ const ROUNDING: f64 = 1e-13;
 const FEW: usize = 512;
 
 /// A mesh is searched where it has more triangles than this for each pixel of the box around it. By measurement
-/// (`which_way_is_faster` in tests.rs): balls of 3,000 to a million triangles break even at 16 to 25, are twice as slow to
-/// search at 1, and 5 to 50 times as fast from 200 on.
-const PER_PIXEL: f64 = 20.0;
+/// (`which_way_is_faster` in tests.rs): balls of 3,000 to a million triangles break even at 16 to 25; they are twice as slow to
+/// search at 1, and 5 to 50 times as fast from 200 on. Searching takes less memory, hence a little earlier.
+const PER_PIXEL: f64 = 12.0;
 
 /// Triangles from which a mesh is searched by several tasks.
 const LARGE: usize = 100_000;
