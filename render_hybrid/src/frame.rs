@@ -17,7 +17,7 @@ use crate::{
     output::{Frame, FrameStats, Image, Layer, StageTimes},
     raster::{GpuRaster, RasterInputs, TracedRays},
     renderer::{FrameState, device_name, update_structures},
-    settings::{RasterLane, RenderSettings, Shadows, SimdLevel, Tracer, VplShadows},
+    settings::{RasterLane, RenderSettings, Shadows, SimdLevel, Tracer, VplOptions, VplShadows},
     trace::{
         budget,
         camera_rays::{self, TracedLight},
@@ -112,6 +112,9 @@ pub(crate) fn explain_pixel(
     structures(state, scene, settings, &mut stats);
     moments(state, level, scene, settings, &mut stats);
     virtual_lights(state, scene, settings, &mut stats);
+    if settings.vpl.is_some_and(|v| v.interleave == 1) {
+        light_grid(state, level, scene, settings);
+    }
     Ok(explain::explain(&context(state, level, scene, settings), x, y))
 }
 
@@ -145,7 +148,8 @@ fn gpu_frame(
         VplShadows::Maps => too_many,
         VplShadows::Traced => true,
     });
-    gpu.set_vpl_maps(if too_many { const { &VplMaps::NONE } } else { &state.vpl_maps })?;
+    let none = VplMaps::default();
+    gpu.set_vpl_maps(if too_many { &none } else { &state.vpl_maps })?;
     let mut traced = TracedLight::default();
     if trace_lights || trace_vpls {
         let ctx = context(state, level, scene, settings);
@@ -210,8 +214,9 @@ fn traces_on_gpu(
     if !settings.traced || gpu.tracer() == Tracer::Cpu {
         return Ok(false);
     }
-    let (accel, vpls) = (&state.accel, state.photons.vpls.as_slice());
-    let maps = settings.vpl.is_some_and(|v| v.shadows == VplShadows::Maps);
+    let few = settings.vpl.is_some_and(|v| v.mirrored > 0);
+    let (accel, vpls) = (&state.accel, if few { &state.mirrored.vpls } else { &state.photons.vpls }.as_slice());
+    let maps = !few && settings.vpl.is_some_and(|v| v.shadows == VplShadows::Maps);
     let prepared = if maps && vpls.len() > gpu.most_vpl_maps() as usize {
         let (wanted, most) = (vpls.len(), gpu.most_vpl_maps());
         Err(RenderError::Unavailable {
@@ -332,6 +337,13 @@ fn virtual_lights(state: &mut FrameState, scene: &RenderScene, settings: &Render
             interleave::group_subsets(&mut state.photons.vpls, vpl.interleave * vpl.interleave);
             state.emitters.clear();
             state.emitters.extend(state.photons.vpls.iter().map(Emitter::from));
+            state.mirrored_emitters.clear();
+            if vpl.mirrored > 0 {
+                let few = VplOptions { count: vpl.mirrored, ..*vpl };
+                state.mirrored.trace(scene, &state.normals, &state.accel, &few, settings.seed);
+                stats.rays.photon += state.mirrored.rays;
+                state.mirrored_emitters.extend(state.mirrored.vpls.iter().map(Emitter::from));
+            }
             let size = if vpl.shadows == VplShadows::Maps { vpl.map_size } else { 0 };
             let (maps, accel) = (&mut state.vpl_maps, &state.accel);
             stats.rays.vpl_maps = maps.render(&state.photons.vpls, size, scene, accel, settings.glass_shadows);
@@ -340,8 +352,10 @@ fn virtual_lights(state: &mut FrameState, scene: &RenderScene, settings: &Render
         state.lit_by.forget();
         state.photons.vpls.clear();
         state.emitters.clear();
+        state.mirrored_emitters.clear();
         state.vpl_maps.clear();
     }
+    state.grid.clear();
     stats.vpls = state.photons.vpls.len() as u32;
     stats.stages_ms.vpls = milliseconds(start);
 }
@@ -367,6 +381,8 @@ fn context<'a>(
         vpls: &state.photons.vpls,
         emitters: &state.emitters,
         vpl_maps: &state.vpl_maps,
+        mirrored: settings.vpl.is_some_and(|v| v.mirrored > 0).then_some(&state.mirrored_emitters),
+        grid: &state.grid,
         geometry_term_max: geometry_term_max(scene, settings),
         settings,
         level,
@@ -381,6 +397,11 @@ fn pixels(state: &mut FrameState, level: SimdLevel, scene: &RenderScene, setting
     let _span = tracing::info_span!("pixels").entered();
     state.camera.build(level, scene, &state.accel, [settings.width, settings.height]);
     let setup = milliseconds(start);
+    let start = Instant::now();
+    if interleaved == 1 {
+        frame.stats.rays.camera += light_grid(state, level, scene, settings);
+        frame.stats.stages_ms.vpls += milliseconds(start);
+    }
     let start = Instant::now();
     let mut guides = std::mem::take(&mut state.guides);
     guides.resize(if interleaved > 1 { frame.image.pixels.len() } else { 0 }, Guide::default());
@@ -464,6 +485,14 @@ fn pixels(state: &mut FrameState, level: SimdLevel, scene: &RenderScene, setting
     if settings.keep_layers {
         frame.layers.push((Layer::Moments, moments_image(state)));
     }
+}
+
+/// Evaluates all VPLs on a grid of the picture, where the settings want it; returns camera rays.
+fn light_grid(state: &mut FrameState, level: SimdLevel, scene: &RenderScene, settings: &RenderSettings) -> u64 {
+    let mut grid = std::mem::take(&mut state.grid);
+    let rays = grid.build(&context(state, level, scene, settings));
+    state.grid = grid;
+    rays
 }
 
 /// Gives every thread the room that one of them needed: which gets which tile is chance, memory for it must not be.

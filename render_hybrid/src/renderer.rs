@@ -23,6 +23,7 @@ use crate::{
     tracer_choice::{self, Memory, TracerChoice},
     twin::{
         gbuffer::CameraScan,
+        grid::IrradianceGrid,
         interleave::Guide,
         moments::MomentsScratch,
         shadow::{ShadowMaps, ShadowPlan},
@@ -73,6 +74,10 @@ pub(crate) struct FrameState {
     pub lit_by: LitBy,
     pub photons: Photons,
     pub emitters: Vec<Emitter>,
+    /// A smaller set for mirrors and glass.
+    pub mirrored: Photons,
+    pub mirrored_emitters: Vec<Emitter>,
+    pub grid: IrradianceGrid,
     pub vpl_maps: VplMaps,
     /// The picture's guides where VPLs are interleaved.
     pub guides: Vec<Guide>,
@@ -133,6 +138,9 @@ impl Renderer {
             lit_by: LitBy::default(),
             photons: Photons::default(),
             emitters: Vec::new(),
+            mirrored: Photons::default(),
+            mirrored_emitters: Vec::new(),
+            grid: IrradianceGrid::default(),
             vpl_maps: VplMaps::default(),
             guides: Vec::new(),
             camera: CameraScan::default(),

@@ -162,6 +162,13 @@ pub struct VplOptions {
     /// keeps to surfaces puts them together. 1 (full evaluation), 2 or 4. Higher: 1/n² of the cost, indirect light blurred
     /// over n pixels, noise along edges. CPU lane; the GPU lane and hits in mirrors evaluate fully.
     pub interleave: u32,
+    /// Pixels between the places of the picture where VPLs are evaluated, and between which their light is carried along
+    /// surfaces: 1 (every pixel), 2, 4, 8 or 16. Higher: 1/n² of the cost, shadows of VPLs soft to n pixels. CPU lane; not
+    /// where visibility is traced or VPLs are interleaved.
+    pub spacing: u32,
+    /// VPLs, without visibility, that light what mirrors and glass show, a set of their own; 0: the same as what is seen
+    /// directly. Cost is linear in it, for each hit.
+    pub mirrored: u32,
 }
 
 impl Default for VplOptions {
@@ -173,6 +180,8 @@ impl Default for VplOptions {
             shadows: VplShadows::Maps,
             map_size: 32,
             interleave: 1,
+            spacing: 1,
+            mirrored: 0,
         }
     }
 }
@@ -225,10 +234,10 @@ impl Default for RenderSettings {
 pub enum Preset {
     /// 16 VPLs without shadows, depth 4: editing.
     Draft,
-    /// 64 VPLs without visibility (the thesis's choice), filtered shadows, depth 8: play.
+    /// 256 VPLs with shadow maps on a grid of the picture, 64 without in mirrors, filtered shadows, depth 8: play.
     #[default]
     Interactive,
-    /// 2,048 VPLs with shadow maps, certified soft shadows, depth 16: stills.
+    /// 4,096 VPLs with shadow maps, certified soft shadows, depth 16: stills.
     High,
 }
 
@@ -261,23 +270,17 @@ impl RenderSettings {
                 min_weight: 1.0 / 64.0,
                 ..base
             },
-            // Below 128 VPLs the edges of their few hard shadows cost more FLIP than the light that leaks (docs/light.md), and
-            // their maps four times the time.
-            Preset::Interactive => Self {
-                vpl: Some(VplOptions {
-                    count: 64,
-                    geometry_term_max: Some(20.0),
-                    shadows: VplShadows::Off,
-                    ..VplOptions::default()
-                }),
-                ..base
-            },
+            // Each pixel would take 16 times as long, and each hit in a mirror 60 times (docs/light.md).
+            Preset::Interactive => {
+                Self { vpl: Some(VplOptions { spacing: 16, mirrored: 64, ..VplOptions::default() }), ..base }
+            }
             Preset::High => Self {
                 shadows: Shadows::Certified,
                 vpl: Some(VplOptions {
-                    count: 2048,
+                    count: 4096,
                     bounces: 3,
-                    geometry_term_max: Some(300.0),
+                    geometry_term_max: Some(400.0),
+                    spacing: 4,
                     ..VplOptions::default()
                 }),
                 max_depth: 16,
@@ -320,6 +323,12 @@ impl RenderSettings {
             }
             if ![1, 2, 4].contains(&v.interleave) {
                 return Some(format!("VPLs interleaved over {} pixels: 1, 2 or 4", v.interleave));
+            }
+            if ![1, 2, 4, 8, 16].contains(&v.spacing) {
+                return Some(format!("VPLs evaluated every {} pixels: 1, 2, 4, 8 or 16", v.spacing));
+            }
+            if v.mirrored > 1 << 20 {
+                return Some(format!("{} VPLs for mirrors: 0 to 1048576", v.mirrored));
             }
             if ![16, 32, 64].contains(&v.map_size) {
                 return Some(format!("VPL maps of {} texels: 16, 32 or 64", v.map_size));

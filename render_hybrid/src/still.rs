@@ -1,8 +1,8 @@
 //! What did not change since the frame before is not made again. Everything that a stage reads is compared, so that a kept
 //! result is the one that would be made.
 
-use catoptra_engine::{Light, Material, Mesh, RenderScene, Texture};
-use glam::Affine3;
+use catoptra_engine::{Aabb, Light, Material, Mesh, RenderScene, Texture};
+use glam::{Affine3, Vec3};
 use std::sync::Arc;
 
 use crate::{
@@ -94,6 +94,73 @@ impl CastBy {
         }
         same
     }
+}
+
+/// What the shadow maps of VPLs were made of.
+#[derive(Debug, Default)]
+pub(crate) struct MapsBy {
+    options: Option<(u32, GlassShadows)>,
+    instances: Vec<(Affine3, u32, u32)>,
+    materials: Vec<Material>,
+    meshes: Vec<Arc<Mesh>>,
+    /// World boxes, a little wide, of what has changed: as it was and as it is.
+    pub changed: Vec<Aabb>,
+}
+
+impl MapsBy {
+    /// False where any texel may have changed; else only those whose rays meet [`Self::changed`]. Remembers the scene.
+    /// * `size`: texels a side of a map
+    pub fn update(&mut self, scene: &RenderScene, accel: &Accel, size: u32, glass_shadows: GlassShadows) -> bool {
+        let options = Some((size, glass_shadows));
+        let comparable = !accel.any_holes()
+            && self.options == options
+            && self.instances.len() == scene.instances.len()
+            && self.materials == scene.materials
+            && same_arcs(&self.meshes, &scene.meshes);
+        self.changed.clear();
+        if comparable {
+            let wider = Vec3::splat(1e-4 * scene.bounds_world().radius());
+            for (old, i) in self.instances.iter().zip(&scene.instances) {
+                if *old != (i.world_from_object, i.mesh, i.material) {
+                    for (transform, mesh) in [(old.0, old.1), (i.world_from_object, i.mesh)] {
+                        let b = scene.meshes[mesh as usize].bounds_object().transformed(&transform);
+                        self.changed.push(Aabb { min: b.min - wider, max: b.max + wider });
+                    }
+                }
+            }
+        } else {
+            self.options = options;
+            self.materials.clone_from(&scene.materials);
+            keep_arcs(&mut self.meshes, &scene.meshes);
+        }
+        self.instances.clear();
+        self.instances.extend(scene.instances.iter().map(|i| (i.world_from_object, i.mesh, i.material)));
+        comparable
+    }
+
+    /// The maps are gone.
+    pub fn forget(&mut self) {
+        self.options = None;
+    }
+}
+
+/// Whether a ray from `origin` may meet the box. What it grazes counts.
+pub(crate) fn meets(b: &Aabb, origin: Vec3, direction: Vec3) -> bool {
+    let (mut from, mut to) = (0.0f32, f32::INFINITY);
+    for axis in 0..3 {
+        let (o, d) = (origin[axis], direction[axis]);
+        if d == 0.0 {
+            if o < b.min[axis] || o > b.max[axis] {
+                return false;
+            }
+            continue;
+        }
+        let (a, z) = ((b.min[axis] - o) / d, (b.max[axis] - o) / d);
+        from = from.max(a.min(z));
+        to = to.min(a.max(z));
+    }
+    // Rounding of the quotients.
+    from <= to * (1.0 + 1e-5) + 1e-6
 }
 
 fn same_arcs<T>(a: &[Arc<T>], b: &[Arc<T>]) -> bool {

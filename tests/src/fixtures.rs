@@ -43,7 +43,9 @@ pub fn scene_at(name: &str, frame: u64) -> RenderScene {
 pub fn small(width: u32, height: u32, moments: u32) -> RenderSettings {
     let preset = RenderSettings::preset(Preset::Interactive);
     let moments = MomentOptions { size: moments, face_size: moments, ..preset.moments };
-    RenderSettings { width, height, moments, ..preset }
+    // The preset's own grid is for 1024x1024.
+    let vpl = preset.vpl.map(|v| VplOptions { spacing: 2, ..v });
+    RenderSettings { width, height, moments, vpl, ..preset }
 }
 
 /// VPLs as the truth wants them: no bound, one visibility ray per point and VPL.

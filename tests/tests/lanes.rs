@@ -3,7 +3,7 @@
 use catoptra_demos::scenes;
 use catoptra_engine::{Extracted, RenderScene, app};
 use catoptra_render_hybrid::{
-    Frame, Layer, RasterLane, RenderSettings, Renderer, RendererOptions, Shadows,
+    Frame, Layer, RasterLane, RenderSettings, Renderer, RendererOptions, Shadows, VplOptions,
     metrics::{Comparison, compare},
     raster::GpuRaster,
 };
@@ -26,7 +26,10 @@ fn renderer(raster: RasterLane) -> Renderer {
 }
 
 fn settings() -> RenderSettings {
-    RenderSettings { width: SIZE, height: SIZE, keep_layers: true, ..RenderSettings::default() }
+    let preset = RenderSettings::default();
+    // The GPU lane has no grid; what the grid changes is held in light_grid.rs.
+    let vpl = preset.vpl.map(|v| VplOptions { spacing: 1, ..v });
+    RenderSettings { width: SIZE, height: SIZE, keep_layers: true, vpl, ..preset }
 }
 
 fn layer_difference(a: &Frame, b: &Frame, layer: Layer) -> Comparison {

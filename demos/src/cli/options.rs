@@ -61,10 +61,10 @@ pub enum Tracer {
 pub enum PresetArg {
     /// 16 VPLs without shadows, depth 4: editing
     Draft,
-    /// 64 VPLs without shadows, depth 8: play
+    /// 256 VPLs with shadow maps on a grid of the picture, depth 8: play
     #[default]
     Interactive,
-    /// 2,048 VPLs with shadow maps, shadows by rays where they matter: stills
+    /// 4,096 VPLs with shadow maps, shadows by rays where they matter: stills
     High,
 }
 
@@ -202,6 +202,12 @@ pub struct PictureArgs {
     /// Side of the blocks of pixels over which virtual point lights are interleaved: 1 (none), 2 or 4; CPU lane
     #[arg(long, value_name = "N")]
     pub vpl_interleave: Option<u32>,
+    /// Pixels between the places where virtual point lights are evaluated: 1 (each pixel), 2, 4, 8 or 16; CPU lane
+    #[arg(long, value_name = "N")]
+    pub vpl_spacing: Option<u32>,
+    /// Virtual point lights, without shadows, that light what mirrors and glass show; 0: the same as elsewhere
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1 << 20))]
+    pub mirror_vpls: Option<u32>,
     /// Bound of the VPLs' geometry term in units of 1/(bounding radius)^2, or `off` for none (no bias, bright spots)
     #[arg(long, value_name = "X|off", value_parser = parse_bound)]
     pub vpl_bound: Option<Bound>,
@@ -320,6 +326,8 @@ impl PictureArgs {
             v.geometry_term_max = bound;
         }
         v.interleave = self.vpl_interleave.unwrap_or(v.interleave);
+        v.spacing = self.vpl_spacing.unwrap_or(v.spacing);
+        v.mirrored = self.mirror_vpls.unwrap_or(v.mirrored);
         v.map_size = self.vpl_map_size.unwrap_or(v.map_size);
         if let Some(shadows) = self.vpl_shadows {
             v.shadows = match shadows {

@@ -37,7 +37,9 @@ impl GpuRaster {
         self.step(|s| {
             let Some(tracer) = &mut s.tracer else { return Err(RenderError::Gpu("no tracer was made".into())) };
             let RasterInputs { scene, accel, settings, vpls, geometry_term_max } = *inputs;
-            let map_size = s.indirect.maps().1;
+            // A set of VPLs of its own has no maps.
+            let few = settings.vpl.is_some_and(|v| v.mirrored > 0);
+            let map_size = if few { 0 } else { s.indirect.maps().1 };
             let plan = &s.plan;
             let inputs = TraceInputs { scene, accel, settings, plan, moments, vpls, geometry_term_max, map_size };
             tracer.prepare(&s.gpu, &inputs, s.scene.uniforms())

@@ -144,7 +144,7 @@ fn follow(ctx: &FrameContext, mut way: Way, pixel: u32, tree: &mut RayTree, open
     let surface = surface_at(ctx.scene, ctx.normals, &way.ray, &hit);
     node.instance = Some(ctx.scene.instances[hit.instance_id as usize].stable_id);
     node.material = Some(surface.material);
-    (node.direct, node.indirect) = local_light(ctx, &surface, -way.ray.direction, pixel);
+    (node.direct, node.indirect) = local_light(ctx, &surface, -way.ray.direction, pixel, node.parent.is_none());
     node.added = way.weight * (node.direct + node.indirect);
     let at = tree.nodes.len();
     tree.nodes.push(node);
@@ -152,7 +152,8 @@ fn follow(ctx: &FrameContext, mut way: Way, pixel: u32, tree: &mut RayTree, open
 }
 
 /// Direct and indirect radiance of a surface towards `wo`.
-fn local_light(ctx: &FrameContext, surface: &Surface, wo: Vec3, pixel: u32) -> (Vec3, Vec3) {
+/// * `seen`: by the camera; else by a ray of a mirror or glass
+fn local_light(ctx: &FrameContext, surface: &Surface, wo: Vec3, pixel: u32, seen: bool) -> (Vec3, Vec3) {
     let (mut points, mut rays, mut counts) = (PointBatch::default(), VplRays::default(), RayCounts::default());
     let surfaces = std::slice::from_ref(surface);
     let unlit = ctx.scene.materials[surface.material as usize].unlit;
@@ -162,7 +163,17 @@ fn local_light(ctx: &FrameContext, surface: &Surface, wo: Vec3, pixel: u32) -> (
         points.glossy.push(Glossy { point: 0, specular: look.specular, shininess: look.shininess, wo });
     }
     points.pad();
-    shade::indirect_light(ctx, 0..ctx.vpls.len(), &mut points, surfaces, &mut rays, &mut counts);
+    let from_grid = || {
+        let (width, s) = (ctx.settings.width, surface);
+        ctx.grid.at([pixel % width, pixel / width], s.position_world, s.n_shading)
+    };
+    if seen && !ctx.grid.is_built() {
+        shade::indirect_light(ctx, 0..ctx.vpls.len(), &mut points, surfaces, &mut rays, &mut counts);
+    } else if let Some(irradiance) = seen.then(from_grid).flatten() {
+        points.set_irradiance(0, irradiance);
+    } else {
+        shade::indirect_light_of_hits(ctx, &mut points, surfaces, &mut rays, &mut counts);
+    }
     direct::direct_light(ctx, &mut points, surfaces, |_| pixel, &mut counts);
     (points.radiance(0), points.albedo(0) * points.irradiance(0))
 }

@@ -213,6 +213,13 @@ impl PointBatch {
         of_planes(&self.irradiance, i)
     }
 
+    /// Sets the irradiance of point `i`.
+    pub fn set_irradiance(&mut self, i: usize, irradiance: Vec3) {
+        for axis in 0..3 {
+            self.irradiance[axis][i] = irradiance[axis];
+        }
+    }
+
     /// Direct and own radiance of point `i`.
     pub fn radiance(&self, i: usize) -> Vec3 {
         of_planes(&self.radiance, i)
@@ -316,8 +323,56 @@ dispatch! {
     pub fn accumulate_vpls => accumulate_body(points: &mut PointBatch, vpls: &[Emitter], geometry_term_max: f32)
 }
 
-/// As [`accumulate_body`] with each VPL's light weighed by [`crate::twin::vpl_maps::vpl_visibility`], in phases: geometry,
-/// map coordinates, loads, comparison. The sizes are constants so that no load needs a bounds check.
+/// [`crate::twin::vpl_maps::vpl_visibility`] of sixteen points, in phases: map coordinates, loads, comparison. The sizes are
+/// constants so that no load needs a bounds check.
+#[inline(always)]
+fn seen_through_map<const SIZE: usize, const AREA: usize>(
+    map: &[f32; AREA],
+    center: Vec3,
+    p: &[Lane; 3],
+    n: &[Lane; 3],
+) -> Lane {
+    let size = SIZE as u32;
+    let (mut own, mut l1, mut inverse_height) = ([0.0f32; LANES], [0.0f32; LANES], [0.0f32; LANES]);
+    let (mut x0, mut y0) = ([0i32; LANES], [0i32; LANES]);
+    let (mut fx, mut fy) = ([0.0f32; LANES], [0.0f32; LANES]);
+    for lane in 0..LANES {
+        let v = Vec3::new(p[0][lane] - center.x, p[1][lane] - center.y, p[2][lane] - center.z);
+        l1[lane] = l1_length(v);
+        own[lane] = 1.0 / l1[lane];
+        inverse_height[lane] = inverse_plane_height(Vec3::new(n[0][lane], n[1][lane], n[2][lane]), v);
+        let e = octahedron_coordinates(v, own[lane]);
+        let (x, y) = (texel_coordinate(e.x, size), texel_coordinate(e.y, size));
+        (x0[lane], y0[lane]) = (x as i32, y as i32);
+        (fx[lane], fy[lane]) = (x - x0[lane] as f32, y - y0[lane] as f32);
+    }
+    let mut stored = [[0.0f32; LANES]; 4];
+    for lane in 0..LANES {
+        // Coordinates end below the last texel: nothing wraps.
+        let first = (y0[lane] as usize).wrapping_mul(SIZE).wrapping_add(x0[lane] as usize);
+        stored[0][lane] = map[first & (AREA - 1)];
+        stored[1][lane] = map[first.wrapping_add(1) & (AREA - 1)];
+        stored[2][lane] = map[first.wrapping_add(SIZE) & (AREA - 1)];
+        stored[3][lane] = map[first.wrapping_add(SIZE + 1) & (AREA - 1)];
+    }
+    let mut seen = [0.0f32; LANES];
+    for lane in 0..LANES {
+        let (left, upper) = (x0[lane] as f32, y0[lane] as f32);
+        let tap = |x: f32, y: f32, stored: f32| {
+            let q = octahedron_point(Vec2::new(texel_center(x, size), texel_center(y, size)));
+            let expected = (n[0][lane] * q.x + n[1][lane] * q.y + n[2][lane] * q.z) * inverse_height[lane];
+            texel_occlusion(stored, expected, own[lane], l1[lane])
+        };
+        let (t00, t10) = (tap(left, upper, stored[0][lane]), tap(left + 1.0, upper, stored[1][lane]));
+        let (t01, t11) = (tap(left, upper + 1.0, stored[2][lane]), tap(left + 1.0, upper + 1.0, stored[3][lane]));
+        let a = t00 + (t10 - t00) * fx[lane];
+        let b = t01 + (t11 - t01) * fx[lane];
+        seen[lane] = 1.0 - (a + (b - a) * fy[lane]);
+    }
+    seen
+}
+
+/// As [`accumulate_body`] with each VPL's light weighed by its visibility.
 #[inline(always)]
 fn accumulate_shadowed_body<const SIZE: usize, const AREA: usize>(
     points: &mut PointBatch,
@@ -327,7 +382,6 @@ fn accumulate_shadowed_body<const SIZE: usize, const AREA: usize>(
 ) {
     let (maps, rest) = maps.as_chunks::<AREA>();
     assert!(maps.len() == vpls.len() && rest.is_empty() && SIZE * SIZE == AREA && AREA.is_power_of_two());
-    let size = SIZE as u32;
     for at in (0..points.len).step_by(LANES) {
         if !any_matte(points, at) {
             store(&mut points.irradiance, at, &[[0.0; LANES]; 3]);
@@ -349,43 +403,10 @@ fn accumulate_shadowed_body<const SIZE: usize, const AREA: usize>(
             if lit == 0 {
                 continue;
             }
-            let center = map_center(vpl);
-            let (mut own, mut l1, mut inverse_height) = ([0.0f32; LANES], [0.0f32; LANES], [0.0f32; LANES]);
-            let (mut x0, mut y0) = ([0u32; LANES], [0u32; LANES]);
-            let (mut fx, mut fy) = ([0.0f32; LANES], [0.0f32; LANES]);
-            for lane in 0..LANES {
-                let v = Vec3::new(p[0][lane] - center.x, p[1][lane] - center.y, p[2][lane] - center.z);
-                l1[lane] = l1_length(v);
-                own[lane] = 1.0 / l1[lane];
-                inverse_height[lane] = inverse_plane_height(Vec3::new(n[0][lane], n[1][lane], n[2][lane]), v);
-                let e = octahedron_coordinates(v, own[lane]);
-                let (x, y) = (texel_coordinate(e.x, size), texel_coordinate(e.y, size));
-                (x0[lane], y0[lane]) = (x as u32, y as u32);
-                (fx[lane], fy[lane]) = (x - x0[lane] as f32, y - y0[lane] as f32);
-            }
-            let mut stored = [[0.0f32; LANES]; 4];
-            for lane in 0..LANES {
-                let first = y0[lane] as usize * SIZE + x0[lane] as usize;
-                stored[0][lane] = map[first & (AREA - 1)];
-                stored[1][lane] = map[(first + 1) & (AREA - 1)];
-                stored[2][lane] = map[(first + SIZE) & (AREA - 1)];
-                stored[3][lane] = map[(first + SIZE + 1) & (AREA - 1)];
-            }
+            let seen = seen_through_map::<SIZE, AREA>(map, map_center(vpl), &p, &n);
             let flux = vpl.flux * FRAC_1_PI;
             for lane in 0..LANES {
-                let tap = |dx: u32, dy: u32| {
-                    let c = Vec2::new(
-                        texel_center((x0[lane] + dx) as f32, size),
-                        texel_center((y0[lane] + dy) as f32, size),
-                    );
-                    let q = octahedron_point(c);
-                    let expected = (n[0][lane] * q.x + n[1][lane] * q.y + n[2][lane] * q.z) * inverse_height[lane];
-                    texel_occlusion(stored[(dx + 2 * dy) as usize][lane], expected, own[lane], l1[lane])
-                };
-                let (t00, t10, t01, t11) = (tap(0, 0), tap(1, 0), tap(0, 1), tap(1, 1));
-                let a = t00 + (t10 - t00) * fx[lane];
-                let b = t01 + (t11 - t01) * fx[lane];
-                let visible = g[lane] * (1.0 - (a + (b - a) * fy[lane]));
+                let visible = g[lane] * seen[lane];
                 sum[0][lane] += flux.x * visible;
                 sum[1][lane] += flux.y * visible;
                 sum[2][lane] += flux.z * visible;
@@ -416,6 +437,103 @@ dispatch! {
         size: u32,
         maps: &[f32],
         geometry_term_max: f32,
+    )
+}
+
+/// Sixteen points' sums as vectors: what each VPL would give a surface that faces it, times the direction to it.
+#[inline(always)]
+fn directional_run<const SIZE: usize, const AREA: usize>(
+    p: &[Lane; 3],
+    n: &[Lane; 3],
+    vpls: &[Vpl],
+    maps: &[[f32; AREA]],
+    geometry_term_max: f32,
+) -> [Lane; 9] {
+    let mut sum = [[0.0f32; LANES]; 9];
+    for (i, vpl) in vpls.iter().enumerate() {
+        let y = vpl.position_world;
+        let mut weight = [0.0f32; LANES];
+        let mut lit = 0u32;
+        for lane in 0..LANES {
+            let to_vpl = Vec3::new(y.x - p[0][lane], y.y - p[1][lane], y.z - p[2][lane]);
+            let normal = Vec3::new(n[0][lane], n[1][lane], n[2][lane]);
+            let g = geometry_term(to_vpl, normal, vpl.normal_world, geometry_term_max);
+            let cos = normal.x * to_vpl.x + normal.y * to_vpl.y + normal.z * to_vpl.z;
+            // Where the geometry term is not zero, neither is the cosine.
+            weight[lane] = g / if cos > 1e-30 { cos } else { 1e-30 };
+            lit |= g.to_bits();
+        }
+        if lit == 0 {
+            continue;
+        }
+        if SIZE > 0 {
+            let seen = seen_through_map::<SIZE, AREA>(&maps[i], map_center(vpl), p, n);
+            for lane in 0..LANES {
+                weight[lane] *= seen[lane];
+            }
+        }
+        let flux = vpl.flux * FRAC_1_PI;
+        for lane in 0..LANES {
+            let (x, y, z) = (y.x - p[0][lane], y.y - p[1][lane], y.z - p[2][lane]);
+            let (x, y, z) = (x * weight[lane], y * weight[lane], z * weight[lane]);
+            for c in 0..3 {
+                sum[3 * c][lane] += flux[c] * x;
+                sum[3 * c + 1][lane] += flux[c] * y;
+                sum[3 * c + 2][lane] += flux[c] * z;
+            }
+        }
+    }
+    sum
+}
+
+#[inline(always)]
+fn directional<const SIZE: usize, const AREA: usize>(
+    points: &PointBatch,
+    vpls: &[Vpl],
+    maps: &[f32],
+    geometry_term_max: f32,
+    out: &mut [[Lane; 9]],
+) {
+    let (maps, _) = maps.as_chunks::<AREA>();
+    assert!(SIZE == 0 || maps.len() == vpls.len() && SIZE * SIZE == AREA && AREA.is_power_of_two());
+    for (run, out) in out.iter_mut().enumerate() {
+        let at = run * LANES;
+        if any_matte(points, at) {
+            let (p, n) = (lanes(&points.position, at), lanes(&points.normal, at));
+            *out = directional_run::<SIZE, AREA>(&p, &n, vpls, maps, geometry_term_max);
+        }
+    }
+}
+
+#[inline(always)]
+fn directional_body(
+    points: &PointBatch,
+    vpls: &[Vpl],
+    size: u32,
+    maps: &[f32],
+    geometry_term_max: f32,
+    out: &mut [[Lane; 9]],
+) {
+    match size {
+        0 => directional::<0, 1>(points, vpls, &[], geometry_term_max, out),
+        16 => directional::<16, 256>(points, vpls, maps, geometry_term_max, out),
+        32 => directional::<32, 1024>(points, vpls, maps, geometry_term_max, out),
+        64 => directional::<64, 4096>(points, vpls, maps, geometry_term_max, out),
+        other => unreachable!("settings allow no VPL maps of {other} texels"),
+    }
+}
+
+dispatch! {
+    /// The irradiance of each run of points by all VPLs as vectors (red x, y, z, green .., blue ..), W/m²: its dot product with
+    /// the normal is what [`accumulate_vpls`] or [`accumulate_shadowed_vpls`] sums. Points without a matte share are left out.
+    /// * `size`: texels a side of a map, 0: no maps; `out`: one a run of sixteen points, zero at first
+    pub fn accumulate_directional => directional_body(
+        points: &PointBatch,
+        vpls: &[Vpl],
+        size: u32,
+        maps: &[f32],
+        geometry_term_max: f32,
+        out: &mut [[Lane; 9]],
     )
 }
 
@@ -467,8 +585,17 @@ mod tests {
                 // Any numbers will do for depths.
                 let texels =
                     (0..vpls.len() as u32 * size * size).map(|i| (i % 23) as f32 * 0.04 * (i % 7) as f32).collect();
-                let maps = VplMaps { size, texels };
+                let maps = VplMaps::of_texels(size, texels);
                 accumulate_shadowed_vpls(level, &mut batch, &vpls, maps.size, &maps.texels, 3.0);
+                let mut arriving = vec![[[0.0; LANES]; 9]; points.len().div_ceil(LANES)];
+                accumulate_directional(level, &batch, &vpls, maps.size, &maps.texels, 3.0, &mut arriving);
+                for (i, (_, n)) in points.iter().enumerate() {
+                    let of = |k: usize| arriving[i / LANES][k][i % LANES];
+                    let toward = [0, 3, 6].map(|k| n.dot(Vec3::new(of(k), of(k + 1), of(k + 2))));
+                    let (a, b) = (Vec3::from(toward), batch.irradiance(i));
+                    // Relative; two orders of the same products.
+                    assert!((a - b).abs().max_element() <= 1e-4 * (b.max_element() + 1.0), "point {i}: {a} for {b}");
+                }
                 let mut shadowed = 0;
                 for (i, (p, n)) in points.iter().enumerate() {
                     let mut sum = Vec3::ZERO;

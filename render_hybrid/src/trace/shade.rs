@@ -16,6 +16,7 @@ use crate::{
     settings::{RenderSettings, Shadows, SimdLevel, VplShadows},
     twin::{
         certified::{Certainty, certify},
+        grid::IrradianceGrid,
         shading::blinn_phong_lobe,
         shadow::ShadowMaps,
         vpl::{Vpl, vpl_irradiance},
@@ -40,6 +41,10 @@ pub struct FrameContext<'a> {
     pub emitters: &'a [Emitter],
     /// Their shadow maps; empty unless their visibility comes from maps.
     pub vpl_maps: &'a VplMaps,
+    /// What lights the hits of mirrors and glass where that is a set of its own.
+    pub mirrored: Option<&'a [Emitter]>,
+    /// Indirect light on a grid of the picture; not built where pixels are lit one by one.
+    pub grid: &'a IrradianceGrid,
     /// Bound of the geometry term, 1/m²; +infinity: none.
     pub geometry_term_max: f32,
     /// The frame's settings.
@@ -173,6 +178,20 @@ pub fn indirect_light(
                 points.add(*i as usize, *irradiance);
             }
         }
+    }
+}
+
+/// Sets the irradiance of every hit of a mirror's or a glass's rays (a padded batch), as [`indirect_light`] does.
+pub fn indirect_light_of_hits(
+    ctx: &FrameContext,
+    points: &mut PointBatch,
+    surfaces: &[Surface],
+    scratch: &mut VplRays,
+    rays: &mut RayCounts,
+) {
+    match ctx.mirrored {
+        Some(emitters) => accumulate_vpls(ctx.level, points, emitters, ctx.geometry_term_max),
+        None => indirect_light(ctx, 0..ctx.vpls.len(), points, surfaces, scratch, rays),
     }
 }
 

@@ -279,7 +279,7 @@ fn shade_wave(
     counts: &mut RayCounts,
 ) {
     s.points.pad();
-    shade::indirect_light(ctx, 0..ctx.vpls.len(), &mut s.points, &s.surfaces, &mut s.vpl_rays, counts);
+    shade::indirect_light_of_hits(ctx, &mut s.points, &s.surfaces, &mut s.vpl_rays, counts);
     let shaded = &s.shaded;
     direct::direct_light(ctx, &mut s.points, &s.surfaces, |i| pixels[shaded[i].0 as usize].pixel, counts);
     for (i, (slot, weight)) in s.shaded.iter().enumerate() {

@@ -3,6 +3,7 @@
 
 pub mod certified;
 pub mod gbuffer;
+pub mod grid;
 pub mod interleave;
 pub mod moments;
 pub mod scan;

@@ -67,6 +67,7 @@ pub struct TileScratch {
     pub band: Vec<u32>,
     points: PointBatch,
     point_of: Vec<u32>,
+    missing: Vec<u32>,
     subset_surfaces: Vec<Surface>,
     vpl_rays: VplRays,
     /// The tile's pixels with a mirror or glass share; empty where they are not traced.
@@ -120,9 +121,42 @@ fn fill_direct(ctx: &FrameContext, s: &mut TileScratch, rays: &mut RayCounts) {
 
 /// Irradiance of the tile's pixels by all VPLs.
 pub fn fill_indirect(ctx: &FrameContext, s: &mut TileScratch, rays: &mut RayCounts) {
+    if ctx.grid.is_built() {
+        return fill_from_grid(ctx, s, rays);
+    }
     let g = &mut s.gbuffer;
     shade::indirect_light(ctx, 0..ctx.vpls.len(), &mut g.points, &g.surfaces, &mut s.vpl_rays, rays);
 }
+
+/// Irradiance of the tile's pixels from the picture's grid, and as hits in mirrors are lit where that cannot tell.
+fn fill_from_grid(ctx: &FrameContext, s: &mut TileScratch, rays: &mut RayCounts) {
+    let g = &mut s.gbuffer;
+    let (first, runs) = ([g.visible.x, g.visible.y], g.visible.runs);
+    ctx.grid.light(ctx.level, &mut g.points, first, runs, &mut s.missing);
+    // Few at a time, so that the memory is the same for every tile.
+    s.points.reserve([AT_A_TIME, 0]);
+    for missing in s.missing.chunks(AT_A_TIME) {
+        s.points.clear();
+        for &i in missing {
+            let i = i as usize;
+            s.points.push(&PointSurface {
+                position_world: g.points.position_world(i),
+                normal: g.points.normal(i),
+                base_color: g.points.base_color(i),
+                matte: g.points.matte[i],
+                own: Vec3::ZERO,
+            });
+        }
+        s.points.pad();
+        shade::indirect_light_of_hits(ctx, &mut s.points, &[], &mut s.vpl_rays, rays);
+        for (p, &i) in missing.iter().enumerate() {
+            g.points.set_irradiance(i as usize, s.points.irradiance(p));
+        }
+    }
+}
+
+/// Pixels that are lit together where the grid cannot tell.
+const AT_A_TIME: usize = 256;
 
 /// Irradiance of the tile's pixels, each by its own subset of the VPLs, into `guides`; that of the points is left black, the
 /// filter over the whole picture makes it.

@@ -13,11 +13,14 @@
 use catoptra_engine::RenderScene;
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
+use std::sync::{Mutex, PoisonError};
 
 use super::vpl::Vpl;
 use crate::{
     accel::{Accel, Hit, Ray},
     settings::GlassShadows,
+    still::{MapsBy, meets},
+    trace::points::make_room,
 };
 
 /// An occluder must be nearer than the receiver by this share of its distance to count fully; half of it to count at all.
@@ -29,12 +32,25 @@ pub const DEPTH_SLACK: f32 = 0.04;
 pub const NEAREST_PLANE: f32 = 0.5;
 
 /// Maps of all VPLs of a frame.
-#[derive(Clone, Debug, Default)]
+#[derive(Debug, Default)]
 pub struct VplMaps {
     /// Texels a side: 16, 32 or 64; 0: no maps.
     pub size: u32,
     /// `size`² reciprocal L1 distances in 1/m per VPL, in the order of VPLs; row 0 is v = −1.
     pub texels: Vec<f32>,
+    /// Centre of each map, and the normal of its VPL.
+    made_for: Vec<(Vec3, Vec3)>,
+    made_by: MapsBy,
+    scratch: Vec<Mutex<Scratch>>,
+}
+
+/// Memory of a thread.
+#[derive(Debug, Default)]
+struct Scratch {
+    rays: Vec<Ray>,
+    hits: Vec<Hit>,
+    /// Texel of each ray.
+    places: Vec<u32>,
 }
 
 /// Point on the octahedron |x|+|y|+|z| = 1 of `e` in [-1, 1]².
@@ -147,16 +163,22 @@ pub fn map_center(vpl: &Vpl) -> Vec3 {
 }
 
 impl VplMaps {
-    /// No maps.
-    pub const NONE: Self = Self { size: 0, texels: Vec::new() };
+    /// Maps with given texels.
+    #[cfg(test)]
+    pub(crate) fn of_texels(size: u32, texels: Vec<f32>) -> Self {
+        Self { size, texels, ..Self::default() }
+    }
 
     /// Forgets all maps, keeps the memory.
     pub fn clear(&mut self) {
         self.size = 0;
         self.texels.clear();
+        self.made_for.clear();
+        self.made_by.forget();
     }
 
-    /// Makes the maps of `vpls` by rays; returns their number. `size` 0: none.
+    /// Makes the maps of `vpls` by rays; returns their number. `size` 0: none. Where a VPL is where it was, only those texels
+    /// are made whose rays may meet what has moved since; the others would be the same.
     pub fn render(
         &mut self,
         vpls: &[Vpl],
@@ -165,29 +187,48 @@ impl VplMaps {
         accel: &Accel,
         glass_shadows: GlassShadows,
     ) -> u64 {
-        self.size = size;
-        self.texels.clear();
         if size == 0 {
+            self.clear();
             return 0;
         }
+        let comparable = self.made_by.update(scene, accel, size, glass_shadows);
+        self.size = size;
         let area = (size * size) as usize;
+        let known = if comparable { self.made_for.len().min(vpls.len()) } else { 0 };
+        let changed = self.made_by.changed.as_slice();
+        self.made_for.resize(vpls.len(), (Vec3::ZERO, Vec3::ZERO));
         self.texels.resize(vpls.len() * area, 0.0);
+        self.scratch.resize_with(rayon::current_num_threads(), Mutex::default);
+        let scratch = &self.scratch;
+        // Which thread makes which map is chance, memory for it must not be.
+        for s in scratch {
+            let mut s = s.lock().unwrap_or_else(PoisonError::into_inner);
+            make_room(&mut s.rays, area);
+            make_room(&mut s.hits, area);
+            make_room(&mut s.places, area);
+        }
         let casts = |hit: &Hit| {
             let m = &scene.materials[scene.instances[hit.instance_id as usize].material as usize];
             glass_shadows == GlassShadows::Opaque || m.transmission <= 0.0
         };
         self.texels
             .par_chunks_mut(area)
+            .zip(&mut self.made_for)
             .zip(vpls)
+            .enumerate()
             .with_min_len(4)
-            .map_init(Vec::new, |buffers: &mut Vec<(Vec<Ray>, Vec<Hit>, Vec<u32>)>, (map, vpl)| {
-                if buffers.is_empty() {
-                    buffers.push(Default::default());
-                }
-                let (rays, hits, places) = &mut buffers[0];
+            .map(|(i, ((map, made_for), vpl))| {
+                let own = rayon::current_thread_index().unwrap_or(0) % scratch.len();
+                let mut own = scratch[own].lock().unwrap_or_else(PoisonError::into_inner);
+                let Scratch { rays, hits, places } = &mut *own;
                 rays.clear();
                 places.clear();
                 let origin = map_center(vpl);
+                let kept = i < known && *made_for == (origin, vpl.normal_world);
+                *made_for = (origin, vpl.normal_world);
+                if !kept {
+                    map.fill(0.0);
+                }
                 for by in (0..size).step_by(4) {
                     for bx in (0..size).step_by(4) {
                         for y in by..by + 4 {
@@ -195,7 +236,9 @@ impl VplMaps {
                                 let c = Vec2::new(texel_center(x as f32, size), texel_center(y as f32, size));
                                 let direction = octahedron_point(c);
                                 // Below the VPL's horizon it gives no light.
-                                if vpl.normal_world.dot(direction) > 0.0 {
+                                if vpl.normal_world.dot(direction) > 0.0
+                                    && (!kept || changed.iter().any(|b| meets(b, origin, direction)))
+                                {
                                     rays.push(Ray::new(origin, direction));
                                     places.push(y * size + x);
                                 }
@@ -212,9 +255,7 @@ impl VplMaps {
                         *hit = accel.closest_hit(&Ray { t_min: hit.t, ..*ray });
                         count += 1;
                     }
-                    if hit.is_hit() {
-                        map[*place as usize] = 1.0 / hit.t.max(1e-30);
-                    }
+                    map[*place as usize] = if hit.is_hit() { 1.0 / hit.t.max(1e-30) } else { 0.0 };
                 }
                 count
             })

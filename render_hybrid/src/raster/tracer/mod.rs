@@ -209,7 +209,7 @@ impl GpuTracer {
         }
         self.variant = Variant {
             traced_shadows: matches!(settings.shadows, Shadows::Traced | Shadows::Certified),
-            traced_vpls: settings.vpl.is_some_and(|v| v.shadows == VplShadows::Traced),
+            traced_vpls: settings.vpl.is_some_and(|v| v.shadows == VplShadows::Traced && v.mirrored == 0),
             rays: match layout::waiting_rays(settings.max_depth, settings.min_weight) {
                 few if few <= Variant::FEW_RAYS => Variant::FEW_RAYS,
                 _ => 64,

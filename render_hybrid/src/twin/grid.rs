@@ -1,0 +1,347 @@
+//! Indirect light on a coarse grid of the picture, carried from there to the pixels along surfaces.
+//!
+//! All VPLs are evaluated where the camera's rays through every `spacing`-th pixel of every `spacing`-th row meet something. A
+//! grid point keeps, per channel, the vector sum of what arrives, so that a pixel's own normal can be put in: n·V is the exact
+//! irradiance wherever the same VPLs lie above both horizons. A pixel takes the mean of the four points around it, weighed by
+//! nearness and by how far it lies on their surface; where none does, of the sixteen around it; where none of those does, it
+//! is lit as hits in mirrors are, by a smaller set where there is one. So far-off edges are never blurred across, and the cost is that of 1/`spacing`² of the pixels.
+//!
+//! Sources: Ward & Heckbert, "Irradiance Gradients", EGWR 1992 (indirect light is smooth along surfaces); Segovia et al.,
+//! "Non-interleaved Deferred Shading of Interleaved Sample Patterns", Graphics Hardware 2006 (the geometry-aware filter).
+
+use glam::Vec3;
+use rayon::prelude::*;
+use std::sync::Mutex;
+
+use super::gbuffer::point_of;
+use crate::{
+    accel::{Hit, Ray},
+    settings::{SimdLevel, VplShadows},
+    simd::dispatch,
+    trace::{
+        camera_rays::camera_ray,
+        points::{LANES, Lane, PointBatch, PointSurface, accumulate_directional, lane, lanes, make_room, store},
+        shade::FrameContext,
+        surface::{PixelCone, surface_seen},
+    },
+};
+
+/// Cosine between two normals from which on their light is alike, and what is added until it counts fully.
+const LEAST_COSINE: f32 = 0.7;
+const COSINE_SPAN: f32 = 0.2;
+/// Squared share of a neighbour's distance that it may lie off the plane and count fully, and what is added until it counts
+/// nothing.
+const OFF_PLANE: f32 = 0.02;
+const OFF_PLANE_SPAN: f32 = 0.07;
+/// Weights of four neighbours that add up to less are no surface's.
+const LEAST_WEIGHT: f32 = 0.02;
+
+/// A place of the grid.
+#[derive(Clone, Copy, Debug, Default)]
+struct GridPoint {
+    /// The place, world space.
+    position_world: Vec3,
+    /// Unit shading normal; zero: nothing matte is seen here.
+    normal: Vec3,
+    /// Per channel the sum of flux/π · G/cos · direction, W/m².
+    arriving: [Vec3; 3],
+}
+
+/// Memory of a thread.
+#[derive(Clone, Debug, Default)]
+struct RowScratch {
+    rays: Vec<Ray>,
+    hits: Vec<Hit>,
+    points: PointBatch,
+    arriving: Vec<[Lane; 9]>,
+}
+
+/// The grid of a frame.
+#[derive(Debug, Default)]
+pub struct IrradianceGrid {
+    /// Pixels from point to point; 0: no grid.
+    spacing: u32,
+    columns: usize,
+    points: Vec<GridPoint>,
+    scratch: Vec<Mutex<RowScratch>>,
+}
+
+impl IrradianceGrid {
+    /// Evaluates all VPLs at the grid's points; no grid where the settings want none. Returns the number of camera rays.
+    pub fn build(&mut self, ctx: &FrameContext) -> u64 {
+        let spacing = ctx.settings.vpl.map_or(1, |v| if v.shadows == VplShadows::Traced { 1 } else { v.spacing });
+        self.spacing = 0;
+        if spacing <= 1 || ctx.vpls.is_empty() {
+            return 0;
+        }
+        let (width, height) = (ctx.settings.width, ctx.settings.height);
+        // One more than the runs of sixteen pixels cover, so that every pixel lies between four.
+        self.columns = (width.next_multiple_of(LANES as u32) / spacing + 1) as usize;
+        let rows = (height.div_ceil(spacing) + 1) as usize;
+        self.points.resize(self.columns * rows, GridPoint::default());
+        self.scratch.resize_with(rayon::current_num_threads(), Mutex::default);
+        let (scratch, columns) = (&self.scratch, self.columns);
+        // Which thread gets which row is chance, memory for it must not be.
+        for s in scratch {
+            let mut s = s.lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+            make_room(&mut s.rays, columns);
+            make_room(&mut s.hits, columns);
+            make_room(&mut s.arriving, columns.div_ceil(LANES));
+            s.points.reserve([columns.next_multiple_of(LANES), 0]);
+        }
+        self.points.par_chunks_mut(columns).enumerate().with_max_len(1).for_each(|(row, points)| {
+            let own = rayon::current_thread_index().unwrap_or(0) % scratch.len();
+            let mut s = scratch[own].lock().unwrap_or_else(std::sync::PoisonError::into_inner);
+            fill_row(ctx, spacing, row as u32, points, &mut s);
+        });
+        self.spacing = spacing;
+        (self.columns * rows) as u64
+    }
+
+    /// Forgets the grid, keeps the memory.
+    pub fn clear(&mut self) {
+        self.spacing = 0;
+    }
+
+    /// False where nothing was evaluated: pixels are lit one by one.
+    pub fn is_built(&self) -> bool {
+        self.spacing > 1
+    }
+
+    /// Sets the irradiance of a tile's pixels, and collects those that no point of the grid can tell about.
+    /// * `first`: column (a multiple of sixteen) and row of the first pixel; `runs`: runs of sixteen pixels a row
+    pub fn light(
+        &self,
+        level: SimdLevel,
+        points: &mut PointBatch,
+        first: [u32; 2],
+        runs: usize,
+        missing: &mut Vec<u32>,
+    ) {
+        missing.clear();
+        make_room(missing, points.len());
+        light_tile(level, self, points, first, runs, missing);
+        missing.retain(|&i| {
+            let row = i as usize / (runs * LANES);
+            let column = i as usize % (runs * LANES);
+            let pixel = [first[0] + column as u32, first[1] + row as u32];
+            let found = self.wider(pixel, points.position_world(i as usize), points.normal(i as usize));
+            if let Some(irradiance) = found {
+                points.set_irradiance(i as usize, irradiance);
+            }
+            found.is_none()
+        });
+    }
+
+    /// Irradiance of pixel (x, y), which shows `position` with unit normal `n`, as [`Self::light`] has it up to rounding; `None`
+    /// where no point of the grid can tell.
+    pub fn at(&self, [x, y]: [u32; 2], position: Vec3, n: Vec3) -> Option<Vec3> {
+        let s = self.spacing;
+        let (fx, fy) = ((x % s) as f32 / s as f32, (y % s) as f32 / s as f32);
+        let corner = (y / s) as usize * self.columns + (x / s) as usize;
+        let (mut sum, mut weight) = (Vec3::ZERO, 0.0f32);
+        for k in 0..4 {
+            let g = &self.points[corner + k % 2 + k / 2 * self.columns];
+            let near = if k % 2 == 0 { 1.0 - fx } else { fx } * if k < 2 { 1.0 - fy } else { fy };
+            let w = near * likeness(g, position, n);
+            sum += Vec3::from(g.arriving.map(|v| w * positive(n.dot(v))));
+            weight += w;
+        }
+        if weight > LEAST_WEIGHT { Some(sum / weight) } else { self.wider([x, y], position, n) }
+    }
+
+    /// Irradiance of a pixel from the sixteen points around it.
+    fn wider(&self, [x, y]: [u32; 2], position: Vec3, n: Vec3) -> Option<Vec3> {
+        let s = self.spacing;
+        let rows = self.points.len() / self.columns;
+        let span = |c: u32, len: usize| (c / s).saturating_sub(1) as usize..((c / s + 3) as usize).min(len);
+        let (mut sum, mut weight) = (Vec3::ZERO, 0.0f32);
+        for gy in span(y, rows) {
+            for gx in span(x, self.columns) {
+                let g = &self.points[gy * self.columns + gx];
+                let (dx, dy) = (gx as f32 * s as f32 - x as f32, gy as f32 * s as f32 - y as f32);
+                let near = 1.0 / ((dx * dx + dy * dy) / (s * s) as f32 + 0.25);
+                let w = near * likeness(g, position, n);
+                sum += Vec3::from(g.arriving.map(|v| w * positive(n.x * v.x + n.y * v.y + n.z * v.z)));
+                weight += w;
+            }
+        }
+        (weight > LEAST_WEIGHT).then(|| sum / weight)
+    }
+}
+
+#[inline(always)]
+fn positive(x: f32) -> f32 {
+    if x > 0.0 { x } else { 0.0 }
+}
+
+#[inline(always)]
+fn unit(x: f32) -> f32 {
+    let x = positive(x);
+    if x < 1.0 { x } else { 1.0 }
+}
+
+/// How far a place lies on the surface of a grid point, in [0, 1].
+#[inline(always)]
+fn likeness(g: &GridPoint, position: Vec3, n: Vec3) -> f32 {
+    let m = g.normal;
+    let cos = n.x * m.x + n.y * m.y + n.z * m.z;
+    let (x, y, z) = (position.x - g.position_world.x, position.y - g.position_world.y, position.z - g.position_world.z);
+    let off = m.x * x + m.y * y + m.z * z;
+    let off_own = n.x * x + n.y * y + n.z * z;
+    let off2 = off * off;
+    let own2 = off_own * off_own;
+    let off2 = if off2 < own2 { off2 } else { own2 };
+    let d2 = (x * x + y * y) + z * z;
+    let share = off2 / (d2 + 1e-12);
+    let plane = unit(1.0 - (share - OFF_PLANE) * (1.0 / OFF_PLANE_SPAN));
+    unit((cos - LEAST_COSINE) * (1.0 / COSINE_SPAN)) * plane
+}
+
+fn fill_row(ctx: &FrameContext, spacing: u32, row: u32, points: &mut [GridPoint], s: &mut RowScratch) {
+    let (width, height) = (ctx.settings.width, ctx.settings.height);
+    let camera = &ctx.scene.camera;
+    let y = (row * spacing) as f32;
+    s.rays.clear();
+    s.rays
+        .extend((0..points.len()).map(|column| camera_ray(camera, (column as u32 * spacing) as f32, y, width, height)));
+    s.hits.clear();
+    s.hits.resize(s.rays.len(), Hit::MISS);
+    ctx.accel.closest_hits(&s.rays, &mut s.hits);
+    let cone = PixelCone::of(camera, height);
+    s.points.clear();
+    for ((ray, hit), point) in s.rays.iter().zip(&s.hits).zip(points.iter_mut()) {
+        let mut seen = PointSurface::default();
+        if hit.is_hit() {
+            seen = point_of(ctx, &surface_seen(ctx.scene, ctx.normals, ray, hit, cone.at(hit.t)));
+        }
+        let normal = if seen.matte > 0.0 { seen.normal } else { Vec3::ZERO };
+        *point = GridPoint { position_world: seen.position_world, normal, ..GridPoint::default() };
+        s.points.push(&seen);
+    }
+    s.points.pad();
+    s.arriving.clear();
+    s.arriving.resize(points.len().div_ceil(LANES), [[0.0; LANES]; 9]);
+    let (size, maps) = (ctx.vpl_maps.size, &ctx.vpl_maps.texels);
+    accumulate_directional(ctx.level, &s.points, ctx.vpls, size, maps, ctx.geometry_term_max, &mut s.arriving);
+    for (i, point) in points.iter_mut().enumerate() {
+        let of = |k: usize| s.arriving[i / LANES][k][i % LANES];
+        point.arriving = [0, 3, 6].map(|k| Vec3::new(of(k), of(k + 1), of(k + 2)));
+    }
+}
+
+/// Pixels of a row between two columns of the grid.
+/// * `corners`: upper left, upper right, lower left, lower right; `fy`: how far down from the upper two, in [0, 1)
+#[inline(always)]
+fn light_cell<const S: usize>(
+    corners: [&GridPoint; 4],
+    fy: f32,
+    p: [&[f32; S]; 3],
+    n: [&[f32; S]; 3],
+    out: [&mut [f32; S]; 3],
+    weights: &mut [f32; S],
+) {
+    let [red, green, blue] = out;
+    // One corner after the other, so that the inner loop is wide.
+    for (k, corner) in corners.into_iter().enumerate() {
+        let corner = *corner;
+        let [r, g, b] = corner.arriving;
+        let y = if k < 2 { 1.0 - fy } else { fy };
+        for i in 0..S {
+            let fx = i as f32 * (1.0 / S as f32);
+            let x = if k % 2 == 0 { 1.0 - fx } else { fx };
+            let normal = Vec3::new(n[0][i], n[1][i], n[2][i]);
+            let w = (x * y) * likeness(&corner, Vec3::new(p[0][i], p[1][i], p[2][i]), normal);
+            let toward = |v: Vec3| w * positive(normal.x * v.x + normal.y * v.y + normal.z * v.z);
+            red[i] += toward(r);
+            green[i] += toward(g);
+            blue[i] += toward(b);
+            weights[i] += w;
+        }
+    }
+    for i in 0..S {
+        let weight = weights[i];
+        let inverse = if weight > LEAST_WEIGHT { 1.0 / weight } else { 0.0 };
+        red[i] *= inverse;
+        green[i] *= inverse;
+        blue[i] *= inverse;
+    }
+}
+
+#[inline(always)]
+fn light_body<const S: usize>(
+    grid: &IrradianceGrid,
+    points: &mut PointBatch,
+    first: [u32; 2],
+    runs: usize,
+    missing: &mut Vec<u32>,
+) {
+    for at in (0..points.len()).step_by(LANES) {
+        let mut sum = [[0.0f32; LANES]; 3];
+        let matte = lane(&points.matte, at);
+        if matte.iter().fold(0, |bits, m| bits | m.to_bits()) != 0 {
+            let run = at / LANES;
+            let x = first[0] as usize + run % runs * LANES;
+            let y = first[1] as usize + run / runs;
+            let fy = (y % S) as f32 * (1.0 / S as f32);
+            let corner = y / S * grid.columns + x / S;
+            let (p, n) = (lanes(&points.position, at), lanes(&points.normal, at));
+            let mut weights = [0.0f32; LANES];
+            for cell in 0..LANES / S {
+                let upper = &grid.points[corner + cell..corner + cell + 2];
+                let lower = &grid.points[corner + grid.columns + cell..corner + grid.columns + cell + 2];
+                let part =
+                    |l: &Lane| -> [f32; S] { l[cell * S..(cell + 1) * S].try_into().expect("S divides sixteen") };
+                let (px, py, pz) = (part(&p[0]), part(&p[1]), part(&p[2]));
+                let (nx, ny, nz) = (part(&n[0]), part(&n[1]), part(&n[2]));
+                let (mut r, mut g, mut b, mut w) = ([0.0; S], [0.0; S], [0.0; S], [0.0; S]);
+                light_cell::<S>(
+                    [&upper[0], &upper[1], &lower[0], &lower[1]],
+                    fy,
+                    [&px, &py, &pz],
+                    [&nx, &ny, &nz],
+                    [&mut r, &mut g, &mut b],
+                    &mut w,
+                );
+                let range = cell * S..(cell + 1) * S;
+                sum[0][range.clone()].copy_from_slice(&r);
+                sum[1][range.clone()].copy_from_slice(&g);
+                sum[2][range.clone()].copy_from_slice(&b);
+                weights[range].copy_from_slice(&w);
+            }
+            for lane in 0..LANES {
+                if matte[lane] > 0.0 && !(weights[lane] > LEAST_WEIGHT) {
+                    missing.push((at + lane) as u32);
+                }
+            }
+        }
+        store(&mut points.irradiance, at, &sum);
+    }
+}
+
+#[inline(always)]
+fn light_tile_body(
+    grid: &IrradianceGrid,
+    points: &mut PointBatch,
+    first: [u32; 2],
+    runs: usize,
+    missing: &mut Vec<u32>,
+) {
+    match grid.spacing {
+        2 => light_body::<2>(grid, points, first, runs, missing),
+        4 => light_body::<4>(grid, points, first, runs, missing),
+        8 => light_body::<8>(grid, points, first, runs, missing),
+        16 => light_body::<16>(grid, points, first, runs, missing),
+        other => unreachable!("settings allow no spacing of {other}"),
+    }
+}
+
+dispatch! {
+    fn light_tile => light_tile_body(
+        grid: &IrradianceGrid,
+        points: &mut PointBatch,
+        first: [u32; 2],
+        runs: usize,
+        missing: &mut Vec<u32>,
+    )
+}
