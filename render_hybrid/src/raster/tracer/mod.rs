@@ -16,7 +16,7 @@ use std::collections::HashMap;
 use super::{
     device::Gpu,
     pipeline::{Slot, compute_pipeline, group, group_layout, pipeline_layout, uniform},
-    readback::Readback,
+    readback::Mailbox,
     targets::{PictureTargets, RADIANCE_FORMAT, ShadowTargets, draw_pass},
 };
 use crate::{
@@ -44,12 +44,12 @@ pub(crate) struct TraceInputs<'a> {
     pub map_size: u32,
 }
 
-/// Rays that the compute tracers counted.
+/// What the tracers counted of a frame. Zero where a tracer cannot count: the fragment pass knows the masked pixels alone.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct TracedRays {
+pub(crate) struct TracedCounts {
+    pub masked: u64,
     /// Mirror and Fresnel reflection.
     pub reflection: u64,
-    /// Refraction.
     pub refraction: u64,
     /// Towards lights.
     pub shadow: u64,
@@ -57,6 +57,15 @@ pub struct TracedRays {
     pub vpl: u64,
     /// Pixels that met a cap: 0, or the trees are broken or paths deeper than 2²⁴ rays.
     pub capped: u64,
+}
+
+impl TracedCounts {
+    /// * `words`: masked pixels, then the counters, as far as there are any
+    pub fn of(words: &[u32]) -> Self {
+        let [masked, reflection, refraction, shadow, vpl, capped] =
+            std::array::from_fn(|i| words.get(i).map_or(0, |w| u64::from(*w)));
+        Self { masked, reflection, refraction, shadow, vpl, capped }
+    }
 }
 
 enum Pipeline {
@@ -314,14 +323,11 @@ impl GpuTracer {
         }
     }
 
-    /// Rays of the last [`Self::record`]; `None` for the fragment pass, which cannot count. Waits for it.
-    pub fn read_rays(&self, gpu: &Gpu, readback: &mut Readback) -> Result<Option<TracedRays>, RenderError> {
-        if self.variant.heaps == HeapKind::Texture {
-            return Ok(None);
+    /// Records that the counters come back; the fragment pass has none.
+    pub fn record_read(&self, encoder: &mut wgpu::CommandEncoder, mailbox: &mut Mailbox) {
+        if self.variant.heaps == HeapKind::Storage {
+            mailbox.buffer(encoder, &self.counters, 0, u64::from(COUNTERS) * 4);
         }
-        let c: Vec<u32> = readback.buffer(gpu, &self.counters, 0, u64::from(COUNTERS) * 4)?;
-        let [reflection, refraction, shadow, vpl, capped] = std::array::from_fn(|i| u64::from(c[i]));
-        Ok(Some(TracedRays { reflection, refraction, shadow, vpl, capped }))
     }
 }
 
@@ -337,6 +343,7 @@ fn module(gpu: &Gpu, kernel: &str, variant: &Variant) -> wgpu::ShaderModule {
 }
 
 fn fragment_pipeline(gpu: &Gpu, module: &wgpu::ShaderModule, layout: &wgpu::PipelineLayout) -> wgpu::RenderPipeline {
+    gpu.count_pipeline();
     gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some("tracer.fragment"),
         layout: Some(layout),
