@@ -20,11 +20,10 @@ use crate::{
     settings::{RasterLane, RenderSettings, Shadows, SimdLevel, Tracer, VplShadows},
     trace::{
         budget,
-        camera_rays::{self, TracedLight},
         explain::{self, RayTree},
         points::Emitter,
         shade::FrameContext,
-        whitted::{self, MaskedPixel},
+        whitted::MaskedPixel,
     },
     twin::{
         gbuffer::{CameraScan, Eye},
@@ -32,7 +31,6 @@ use crate::{
         moments::render_moments,
         shadow::ShadowPlan,
         tile::{TileRect, TileScratch, TileStats, render_tile},
-        vpl_maps::VplMaps,
     },
 };
 
@@ -118,7 +116,12 @@ pub(crate) fn explain_pixel(
 }
 
 /// Two-level structure and normal matrices.
-pub(crate) fn structures(state: &mut FrameState, scene: &RenderScene, settings: &RenderSettings, stats: &mut FrameStats) {
+pub(crate) fn structures(
+    state: &mut FrameState,
+    scene: &RenderScene,
+    settings: &RenderSettings,
+    stats: &mut FrameStats,
+) {
     let _span = tracing::info_span!("structures").entered();
     let start = Instant::now();
     let update = update_structures(state, scene, settings.glass_shadows);
@@ -160,7 +163,12 @@ pub(crate) fn moments(
 }
 
 /// Photons from the lights become VPLs; then the VPLs' shadow maps.
-pub(crate) fn virtual_lights(state: &mut FrameState, scene: &RenderScene, settings: &RenderSettings, stats: &mut FrameStats) {
+pub(crate) fn virtual_lights(
+    state: &mut FrameState,
+    scene: &RenderScene,
+    settings: &RenderSettings,
+    stats: &mut FrameStats,
+) {
     let _span = tracing::info_span!("virtual lights").entered();
     let start = Instant::now();
     if let Some(vpl) = &settings.vpl {

@@ -20,12 +20,13 @@ use crate::{
         context, geometry_term_max, merge_non_finite, milliseconds, moments, shadow_plan, structures, virtual_lights,
     },
     output::{Frame, FrameStats, Image, Layer, RayCounts, StageInterval, StageTimes},
-    raster::{GpuRaster, RasterInputs, TracedCounts},
+    raster::{GpuRaster, PhotonInputs, RasterInputs, TracedCounts},
     renderer::FrameState,
     settings::{RasterLane, RenderSettings, Shadows, SimdLevel, Tracer, VplShadows},
     trace::{
         budget,
         camera_rays::{self, TracedLight},
+        photons::LightPaths,
         whitted::{self, MaskedPixel},
     },
     twin::{shadow::ShadowPlan, vpl_maps::VplMaps},
@@ -65,6 +66,14 @@ impl Clock {
         }
         out
     }
+}
+
+/// Where stages are timed apart: waits for what was submitted.
+fn settle(gpu: &mut GpuRaster, clock: &mut Clock) -> Result<(), RenderError> {
+    if gpu.is_one_by_one() {
+        clock.run("wait apart", &mut 0.0, || gpu.settle())?;
+    }
+    Ok(())
 }
 
 /// What a frame is made of.
@@ -123,6 +132,7 @@ pub(crate) fn make(
                 "direct" => &mut stages_ms.direct,
                 "indirect" => &mut stages_ms.indirect,
                 "photons" => &mut stages_ms.vpls,
+                "send back" | "send picture" => &mut stages_ms.transfer,
                 "traced" => &mut stages_ms.traced,
                 _ => &mut stages_ms.compose,
             } += stage.milliseconds();
@@ -154,7 +164,8 @@ fn at_once(
         clock.run("send traced", &mut ms.transfer, || gpu.record_compose(&traced))?;
     }
     clock.run("submit", &mut ms.transfer, || gpu.finish(read_back, slot))?;
-    deliver(gpu, read_back, traced_on_gpu, frame, &mut ms, clock)?;
+    settle(gpu, clock)?;
+    deliver(state, gpu, read_back, traced_on_gpu, frame, &mut ms, clock)?;
     if settings.keep_layers {
         let start = Instant::now();
         for (layer, _) in Layer::ALL.iter().filter(|(l, _)| *l != Layer::Final) {
@@ -193,7 +204,7 @@ fn last_of_gpu(
         clock.run("send traced", &mut ms.transfer, || gpu.record_compose(&traced))?;
         clock.run("submit", &mut ms.transfer, || gpu.finish(true, slot))?;
     }
-    deliver(gpu, true, traced_on_gpu, frame, &mut ms, clock)?;
+    deliver(state, gpu, true, traced_on_gpu, frame, &mut ms, clock)?;
     add_times(&mut frame.stats.stages_ms, &ms);
     Ok(())
 }
@@ -238,7 +249,7 @@ fn beside_the_last(
     }
     state.doubled.late = Some(begun);
     frame.stats.latency_frames = 1;
-    deliver(gpu, read_back, false, frame, &mut ms, clock)?;
+    deliver(state, gpu, read_back, false, frame, &mut ms, clock)?;
     add_times(&mut frame.stats.stages_ms, &ms);
     Ok(())
 }
@@ -255,7 +266,8 @@ fn begin(
     let on_cpu = gpu.tracer() == Tracer::Cpu;
     let traced = settings.traced && on_cpu;
     gpu.expect(on_cpu, traced && settings.shadows == Shadows::Moments);
-    clock.run("send scene", &mut ms.transfer, || gpu.begin(scene, settings, plan))
+    clock.run("send scene", &mut ms.transfer, || gpu.begin(scene, settings, plan))?;
+    settle(gpu, clock)
 }
 
 /// Structure and photons, then the submission of light; where the GPU traces that is recorded, too, and left open: true.
@@ -271,7 +283,16 @@ fn light(
     // These two tell their times themselves.
     let mut told = 0.0;
     clock.run("structures", &mut told, || structures(state, scene, settings, stats));
-    clock.run("virtual lights", &mut told, || virtual_lights(state, scene, settings, stats));
+    let photons = photons_on_gpu(gpu, settings);
+    let mut paths = None;
+    if photons {
+        let begin = Instant::now();
+        paths = clock.run("light paths", &mut told, || light_paths(state, scene, settings));
+        stats.stages_ms.vpls = milliseconds(begin);
+    } else {
+        state.lit_on_gpu.forget();
+        clock.run("virtual lights", &mut told, || virtual_lights(state, scene, settings, stats));
+    }
 
     // Where visibility is traced, the CPU finds it.
     let trace_lights = matches!(settings.shadows, Shadows::Traced | Shadows::Certified);
@@ -295,12 +316,16 @@ fn light(
     let visibility = trace_lights.then_some(traced.visibility.as_slice());
     let indirect = trace_vpls.then_some(traced.indirect.as_slice());
     let bound = geometry_term_max(scene, settings);
-    let on_gpu =
-        clock.run("send to tracer", &mut ms.transfer, || traces_on_gpu(state, gpu, scene, settings, bound))?;
+    let on_gpu = clock.run("send to tracer", &mut ms.transfer, || traces_on_gpu(state, gpu, wanted, bound, &paths))?;
     stats.tracer = if on_gpu { gpu.tracer() } else { Tracer::Cpu };
     if !on_gpu {
+        if photons {
+            state.lit_on_gpu.forget();
+            clock.run("virtual lights", &mut told, || virtual_lights(state, scene, settings, stats));
+        }
         stats.tracer_fallback.clone_from(&state.tracer_fallback);
         clock.run("submit light", &mut ms.transfer, || gpu.light(&state.photons.vpls, bound, visibility, indirect))?;
+        settle(gpu, clock)?;
         return Ok(false);
     }
     clock.run("record light", &mut ms.transfer, || {
@@ -316,10 +341,11 @@ fn light(
 fn traces_on_gpu(
     state: &mut FrameState,
     gpu: &mut GpuRaster,
-    scene: &RenderScene,
-    settings: &RenderSettings,
+    wanted: Wanted,
     geometry_term_max: f32,
+    paths: &Option<(LightPaths, bool)>,
 ) -> Result<bool, RenderError> {
+    let Wanted { scene, settings, .. } = wanted;
     if !settings.traced || gpu.tracer() == Tracer::Cpu {
         return Ok(false);
     }
@@ -332,7 +358,9 @@ fn traces_on_gpu(
             missing: format!("{wanted} VPL maps, but this adapter holds {most}"),
         })
     } else {
-        gpu.prepare_trace(&RasterInputs { scene, accel, settings, vpls, geometry_term_max })
+        let subsets = settings.vpl.map_or(1, |v| v.interleave * v.interleave);
+        let photons = paths.as_ref().map(|(paths, same)| PhotonInputs { paths, subsets, same: *same });
+        gpu.prepare_trace(&RasterInputs { scene, accel, settings, vpls, geometry_term_max, photons })
     };
     match prepared {
         Ok(()) => Ok(true),
@@ -344,6 +372,23 @@ fn traces_on_gpu(
         }
         Err(error) => Err(error),
     }
+}
+
+/// True where VPLs are made on the GPU: where nothing on the CPU looks at them, as their shadow maps and rays to them do.
+fn photons_on_gpu(gpu: &GpuRaster, settings: &RenderSettings) -> bool {
+    settings.traced && gpu.has_photons() && settings.vpl.is_some_and(|v| v.shadows == VplShadows::Off)
+}
+
+/// The paths that the GPU follows, and whether they and the scene are those of the frame before.
+fn light_paths(state: &mut FrameState, scene: &RenderScene, settings: &RenderSettings) -> Option<(LightPaths, bool)> {
+    let vpl = settings.vpl.as_ref()?;
+    // The CPU's own are out of date from here on.
+    state.lit_by.forget();
+    state.photons.vpls.clear();
+    state.emitters.clear();
+    state.vpl_maps.clear();
+    let same = state.lit_on_gpu.update(scene, settings);
+    Some((state.photons.paths(scene, &state.normals, vpl, settings.seed), same))
 }
 
 /// What the CPU needs of the GPU's first passes: the list of masked pixels and, for the shading of hits, the moments.
@@ -366,6 +411,7 @@ fn fetch(
 
 /// The picture that was sent, and the counters that came with it.
 fn deliver(
+    state: &mut FrameState,
     gpu: &mut GpuRaster,
     read_back: bool,
     traced_on_gpu: bool,
@@ -379,12 +425,22 @@ fn deliver(
     clock.run("wait for picture", &mut ms.transfer, || gpu.wait_for_picture())?;
     clock.run("read picture", &mut ms.transfer, || gpu.read_picture(&mut frame.image))?;
     if traced_on_gpu {
-        count_traced(&mut frame.stats, gpu.read_trace_counts()?);
+        let kept = gpu.kept_photons();
+        let mut counts = gpu.read_trace_counts()?;
+        if let Some(photons) = counts.photons.take() {
+            if photons.capped > 0 {
+                tracing::warn!("{} light paths met a cap of the GPU's tracer", photons.capped);
+            }
+            frame.stats.rays.photon += if kept { 0 } else { photons.rays };
+            frame.stats.vpls = photons.vpls.len() as u32;
+            state.photons.vpls = photons.vpls;
+        }
+        count_traced(&mut frame.stats, &counts);
     }
     Ok(())
 }
 
-fn count_traced(stats: &mut FrameStats, counts: TracedCounts) {
+fn count_traced(stats: &mut FrameStats, counts: &TracedCounts) {
     stats.masked_pixels = counts.masked;
     stats.rays.reflection += counts.reflection;
     stats.rays.refraction += counts.refraction;

@@ -72,6 +72,8 @@ pub(crate) struct FrameState {
     pub spare_plan: ShadowPlan,
     /// What the VPLs were made of.
     pub lit_by: LitBy,
+    /// What those on the GPU were made of.
+    pub lit_on_gpu: LitBy,
     pub photons: Photons,
     pub emitters: Vec<Emitter>,
     pub vpl_maps: VplMaps,
@@ -134,6 +136,7 @@ impl Renderer {
             moments: MomentsScratch::default(),
             spare_plan: ShadowPlan::default(),
             lit_by: LitBy::default(),
+            lit_on_gpu: LitBy::default(),
             photons: Photons::default(),
             emitters: Vec::new(),
             vpl_maps: VplMaps::default(),

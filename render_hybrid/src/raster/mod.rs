@@ -46,8 +46,8 @@ use readback::{Mailbox, Readback, rows};
 use scene_buffers::SceneBuffers;
 use targets::{PictureTargets, ShadowTargets};
 use timer::StageTimer;
-pub(crate) use tracer::TracedCounts;
 use tracer::{GpuTracer, TraceInputs};
+pub(crate) use tracer::{PhotonInputs, TracedCounts};
 
 /// Surfaces of all pixels, row by row from the top. Where nothing was met everything is 0 and `material` `u32::MAX`.
 #[derive(Clone, Debug, Default)]
@@ -86,6 +86,8 @@ pub(crate) struct RasterInputs<'a> {
     pub vpls: &'a [Vpl],
     /// 1/m²; +infinity: none.
     pub geometry_term_max: f32,
+    /// The tracer makes the VPLs, in place of `vpls`.
+    pub photons: Option<PhotonInputs<'a>>,
 }
 
 /// What one frame's passes need to know of each other.
@@ -244,17 +246,23 @@ impl GpuRaster {
     /// Submits what was recorded; the answer tells when it is done.
     fn submit(&mut self) -> Result<wgpu::SubmissionIndex, RenderError> {
         let encoder = self.open.take().unwrap_or_else(|| self.gpu.encoder("frame"));
-        let index = self.gpu.queue.submit([encoder.finish()]);
-        if self.one_by_one {
-            self.gpu.wait()?;
-        }
-        Ok(index)
+        Ok(self.gpu.queue.submit([encoder.finish()]))
     }
 
-    /// For measurements: waits after every submission, so that nothing runs at the same time as anything else.
+    /// For measurements: the CPU waits for every submission, so that nothing runs at the same time as anything else.
     #[doc(hidden)]
     pub fn set_one_by_one(&mut self, on: bool) {
         self.one_by_one = on;
+    }
+
+    /// True where [`Self::settle`] is asked for after every submission.
+    pub(crate) fn is_one_by_one(&self) -> bool {
+        self.one_by_one
+    }
+
+    /// Waits for all that was submitted.
+    pub(crate) fn settle(&mut self) -> Result<(), RenderError> {
+        self.step(|s| s.gpu.wait())
     }
 
     /// Which of list of masked pixels and shadow moments shall come back with the next [`Self::begin`]'s passes: reading them
@@ -312,8 +320,9 @@ impl GpuRaster {
         }
         self.bind();
 
-        let Self { gpu, open, scene, moments: moments_pass, blur, gbuffer, compact, shadows, picture, timer, mail, .. } =
-            self;
+        let Self {
+            gpu, open, scene, moments: moments_pass, blur, gbuffer, compact, shadows, picture, timer, mail, ..
+        } = self;
         let Some(bindings) = &self.bindings else { unreachable!("bind comes first") };
         let encoder = open.get_or_insert_with(|| gpu.encoder("frame"));
         if moments {
@@ -336,18 +345,22 @@ impl GpuRaster {
         mail.masked.open(gpu, 0);
         mail.moments.open(gpu, 0);
         let wanted = (mail.wanted.0, mail.wanted.1 && moments);
-        if wanted.0 {
-            let pixels = u64::from(settings.width) * u64::from(settings.height);
-            mail.likely = (mail.likely + mail.likely / 4 + 4096).min(pixels);
-            mail.masked.open(gpu, 4 + 4 * mail.likely);
-            compact.record_read(encoder, &mut mail.masked, picture, mail.likely);
-        }
-        if wanted.1 {
-            let maps = moment_maps(plan, shadows);
-            mail.moments.open(gpu, maps.iter().map(|(texture, _)| Mailbox::texture_bytes(texture)).sum());
-            for (texture, layer) in maps {
-                mail.moments.texture(encoder, texture, layer);
-            }
+        if wanted.0 || wanted.1 {
+            timer.stage(gpu, encoder, "send back", |encoder| {
+                if wanted.0 {
+                    let pixels = u64::from(settings.width) * u64::from(settings.height);
+                    mail.likely = (mail.likely + mail.likely / 4 + 4096).min(pixels);
+                    mail.masked.open(gpu, 4 + 4 * mail.likely);
+                    compact.record_read(encoder, &mut mail.masked, picture, mail.likely);
+                }
+                if wanted.1 {
+                    let maps = moment_maps(plan, shadows);
+                    mail.moments.open(gpu, maps.iter().map(|(texture, _)| Mailbox::texture_bytes(texture)).sum());
+                    for (texture, layer) in maps {
+                        mail.moments.texture(encoder, texture, layer);
+                    }
+                }
+            })?;
         }
         let submission = self.submit()?;
         if wanted.0 {
@@ -461,14 +474,16 @@ impl GpuRaster {
         self.step(|s| {
             let Self { gpu, open, mail, timer, picture, tracer, compact, .. } = s;
             let encoder = open.get_or_insert_with(|| gpu.encoder("frame"));
-            timer.resolve(gpu, encoder, slot);
             if read_back {
-                mail.picture.open(gpu, Mailbox::texture_bytes(&picture.last.texture));
-                mail.picture.texture(encoder, &picture.last.texture, 0);
+                timer.stage(gpu, encoder, "send picture", |encoder| {
+                    mail.picture.open(gpu, Mailbox::texture_bytes(&picture.last.texture));
+                    mail.picture.texture(encoder, &picture.last.texture, 0);
+                })?;
             }
+            timer.resolve(gpu, encoder, slot);
             let counted = tracer.as_ref().filter(|_| read_back);
             if let Some(tracer) = counted {
-                mail.counts.open(gpu, 256);
+                mail.counts.open(gpu, 4 + tracer.read_bytes());
                 compact.record_read(encoder, &mut mail.counts, picture, 0);
                 tracer.record_read(encoder, &mut mail.counts);
             }
@@ -616,21 +631,31 @@ impl GpuRaster {
         }
         let shadows = if frame.moments { Shadows::Moments } else { Shadows::Off };
         self.direct.set_options(gpu, shadows, light_visibility.is_some(), &frame.settings.moments);
-        let mut chunks = 0;
+        let (mut chunks, mut emptied) = (0, false);
         match indirect {
             Some(layer) => self.indirect.upload_layer(gpu, &self.picture, layer)?,
             None => {
-                let (count, replaced) = self.indirect.upload(gpu, vpls, geometry_term_max);
-                chunks = count;
+                let made = self.tracer.as_ref().filter(|_| vpls.is_empty()).and_then(GpuTracer::made_vpls);
+                let (count, replaced) = match made {
+                    Some(most) => self.indirect.reserve(gpu, most),
+                    None => self.indirect.upload(gpu, vpls, geometry_term_max),
+                };
+                (chunks, emptied) = (count, replaced);
                 if let (true, Some(bindings)) = (replaced, &mut self.bindings) {
                     bindings.indirect = self.indirect.bind(gpu, &self.picture);
                 }
             }
         }
 
-        let Self { gpu, open, scene, direct, indirect: indirect_pass, picture, timer, .. } = self;
+        let Self { gpu, open, scene, direct, indirect: indirect_pass, picture, timer, tracer, .. } = self;
         let Some(bindings) = &self.bindings else { unreachable!("a frame was begun") };
         let encoder = open.get_or_insert_with(|| gpu.encoder("frame"));
+        if let Some(tracer) =
+            tracer.as_mut().filter(|t| indirect.is_none() && vpls.is_empty() && t.made_vpls().is_some())
+        {
+            let (chunks, stride) = indirect_pass.chunks();
+            timer.stage(gpu, encoder, "photons", |encoder| tracer.record_photons(encoder, chunks, stride, emptied))?;
+        }
         timer.stage(gpu, encoder, "direct", |encoder| direct.record(encoder, scene, &bindings.direct, picture))?;
         if indirect.is_none() {
             timer.stage(gpu, encoder, "indirect", |encoder| {
@@ -742,6 +767,31 @@ impl GpuRaster {
     /// keeps CPU and GPU from working at the same time.
     pub fn set_timing(&mut self, enabled: bool) {
         self.timer.enabled = enabled;
+    }
+
+    /// Milliseconds of `moments`, `gbuffer`, `compact`, `direct`, `indirect` and `compose` since the last call or
+    /// [`Self::begin`]; empty where [`Self::set_timing`] is off. Waits for the GPU.
+    ///
+    /// # Errors
+    /// [`RenderError::Gpu`]
+    pub fn take_pass_times(&mut self) -> Result<Vec<(&'static str, f64)>, RenderError> {
+        let slot = self.timer.slot();
+        let mut stages = Vec::new();
+        self.step(|s| {
+            let encoder = s.open.get_or_insert_with(|| s.gpu.encoder("timer"));
+            s.timer.resolve(&s.gpu, encoder, slot);
+            let submission = s.submit()?;
+            s.timer.sent(slot, &submission);
+            s.timer.take(&s.gpu, slot, &mut stages)
+        })?;
+        let mut out: Vec<(&'static str, f64)> = Vec::new();
+        for stage in stages {
+            match out.iter_mut().find(|(name, _)| *name == stage.name) {
+                Some(entry) => entry.1 += stage.milliseconds(),
+                None => out.push((stage.name, stage.milliseconds())),
+            }
+        }
+        Ok(out)
     }
 
     /// Pipelines made so far.

@@ -154,8 +154,9 @@ impl StageTimer {
             ticks = slots[slot].mailbox.read(gpu, |data| bytemuck::pod_collect_to_vec::<u8, u64>(data))?;
         }
         let period = f64::from(gpu.queue.get_timestamp_period()) * 1e-9;
+        // Without a common clock lengths are still right.
+        let (at, base) = self.clock.unwrap_or((Instant::now(), ticks.first().copied().unwrap_or(0)));
         let instant = |tick: u64| {
-            let (at, base) = self.clock.unwrap_or((Instant::now(), tick));
             let off = Duration::from_secs_f64(tick.abs_diff(base) as f64 * period);
             if tick >= base { at + off } else { at.checked_sub(off).unwrap_or(at) }
         };

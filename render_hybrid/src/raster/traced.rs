@@ -26,6 +26,16 @@ impl GpuRaster {
         self.tracer.as_ref().map_or(Tracer::Cpu, |t| t.kind)
     }
 
+    /// True where the tracer makes VPLs, too.
+    pub(crate) fn has_photons(&self) -> bool {
+        self.tracer.as_ref().is_some_and(GpuTracer::has_photons)
+    }
+
+    /// The VPLs of the frame are those that the GPU had made before.
+    pub(crate) fn kept_photons(&self) -> bool {
+        self.tracer.as_ref().is_some_and(GpuTracer::kept_photons)
+    }
+
     /// What keeps this device from running a tracer, in words; `None`: nothing.
     pub fn tracer_missing(&self, kind: Tracer) -> Option<String> {
         super::tracer::missing(kind, &self.gpu.device)
@@ -39,10 +49,22 @@ impl GpuRaster {
         let moments = self.begun()?.moments;
         self.step(|s| {
             let Some(tracer) = &mut s.tracer else { return Err(RenderError::Gpu("no tracer was made".into())) };
-            let RasterInputs { scene, accel, settings, vpls, geometry_term_max } = *inputs;
+            let RasterInputs { scene, accel, settings, vpls, geometry_term_max, photons } = *inputs;
             let map_size = s.indirect.maps().1;
             let plan = &s.plan;
-            let inputs = TraceInputs { scene, accel, settings, plan, moments, vpls, geometry_term_max, map_size };
+            let chunk_stride = s.indirect.chunks().1;
+            let inputs = TraceInputs {
+                scene,
+                accel,
+                settings,
+                plan,
+                moments,
+                vpls,
+                geometry_term_max,
+                map_size,
+                photons,
+                chunk_stride,
+            };
             tracer.prepare(&s.gpu, &inputs, s.scene.uniforms())
         })
     }
