@@ -18,6 +18,8 @@ pub(crate) const TEXTURE_MIP_LINEAR: u32 = 32;
 pub(crate) const PHYSICAL: u32 = 1;
 pub(crate) const PHYSICAL_BLENDED: u32 = 2;
 pub(crate) const NO_TEXTURE: u32 = u32::MAX;
+/// A material's textures, in the order of [`texture_slots`].
+pub(crate) const SLOTS: [&str; 5] = ["BASE_COLOR", "EMISSIVE", "NORMAL", "METALLIC_ROUGHNESS", "TRANSMISSION"];
 pub(crate) const LIGHT_POINT: u32 = 0;
 pub(crate) const LIGHT_SPOT: u32 = 1;
 pub(crate) const LIGHT_DIRECTIONAL: u32 = 2;
@@ -219,7 +221,7 @@ pub(crate) struct MaterialData {
     pub reflectance: Vec3,
     pub physical: u32,
     pub physical_transmission: f32,
-    pub unused0: u32,
+    pub texture_slots: u32,
     pub unused1: u32,
     pub unused2: u32,
 }
@@ -255,11 +257,24 @@ impl MaterialData {
             reflectance: p.map_or(Vec3::ZERO, |p| p.reflectance),
             physical: p.map_or(0, |p| if p.blended { PHYSICAL | PHYSICAL_BLENDED } else { PHYSICAL }),
             physical_transmission: p.map_or(0.0, |p| p.transmission),
-            unused0: 0,
+            texture_slots: texture_slots(m),
             unused1: 0,
             unused2: 0,
         }
     }
+}
+
+/// Bit s: the material has texture s of [`SLOTS`].
+fn texture_slots(m: &Material) -> u32 {
+    let p = m.physical;
+    let there = [
+        m.base_color_texture.is_some(),
+        m.emissive_texture.is_some(),
+        m.normal_texture.is_some(),
+        p.is_some_and(|p| p.metallic_roughness_texture.is_some()),
+        p.is_some_and(|p| p.transmission_texture.is_some()),
+    ];
+    there.iter().enumerate().map(|(s, there)| u32::from(*there) << s).sum()
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
@@ -481,7 +496,7 @@ mod tests {
             reflectance,
             physical,
             physical_transmission,
-            unused0,
+            texture_slots,
             unused1,
             unused2
         );

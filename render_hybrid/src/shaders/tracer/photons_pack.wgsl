@@ -82,9 +82,9 @@ fn pack_photons(@builtin(local_invocation_index) lane: u32) {
         if is_lit(slot) {
             let place = place_of(next, count);
             next += 1u;
-            let from = slot * SLOT_WORDS;
+            let source = slot * SLOT_WORDS;
             let into = (place / VPL_CHUNK) * pack.stride + 1u + (place % VPL_CHUNK) * SLOT_WORDS;
-            let words = array(slots[from], vec4u(slots[from + 1u].xyz, 0u), vec4u(slots[from + 2u].xyz, 0u));
+            let words = array(slots[source], vec4u(slots[source + 1u].xyz, 0u), vec4u(slots[source + 2u].xyz, 0u));
             for (var w = 0u; w < SLOT_WORDS; w += 1u) {
                 var own = words;
                 list[place * SLOT_WORDS + w] = own[w];
