@@ -7,8 +7,8 @@ use catoptra_engine::{
     shapes,
 };
 use catoptra_render_hybrid::{
-    Frame, Layer, RasterLane, RenderSettings, Renderer, RendererOptions, Shadows, StageInterval, Tracer, VplOptions,
-    twin::vpl::Vpl,
+    Frame, Layer, MomentOptions, RasterLane, RenderSettings, Renderer, RendererOptions, Shadows, StageInterval, Tracer,
+    VplOptions, twin::vpl::Vpl,
 };
 use catoptra_tests::{HandScene, opened_or_skip};
 use std::time::Instant;
@@ -19,7 +19,9 @@ fn renderer(test: &str, tracer: Tracer) -> Option<Renderer> {
 }
 
 fn small(size: u32) -> RenderSettings {
-    RenderSettings { width: size, height: size, ..RenderSettings::default() }
+    // Maps of the usual size are most of a software adapter's time, and no matter here.
+    let moments = MomentOptions { size: 64, face_size: 32, ..MomentOptions::default() };
+    RenderSettings { width: size, height: size, moments, ..RenderSettings::default() }
 }
 
 /// Frames 0 to n - 1 of a scene, each a revision of the one before.
@@ -295,7 +297,7 @@ fn latency_and_period_against_the_stages_timed_apart() {
         RendererOptions { raster: RasterLane::Gpu, tracer: Tracer::Cpu, threads: 1, ..RendererOptions::default() };
     let test = "latency_and_period";
     let size = std::env::var("CATOPTRA_SIZE").ok().and_then(|s| s.parse().ok()).unwrap_or(512);
-    let settings = RenderSettings { time_passes: true, ..small(size) };
+    let settings = RenderSettings { time_passes: true, moments: MomentOptions::default(), ..small(size) };
     let mut worst = [0.0f64; 2];
     for name in ["rolling-box-donut", "two-spheres", "rolling-box-venus", "rolling-box-sponza"] {
         // One world for each way, the same frames.
