@@ -6,10 +6,11 @@ ci:
 test:
     cargo test --workspace
 
-# Rewrites the golden pictures and hashes; look at `git diff --stat tests/goldens` and at the pictures afterwards.
+# Rewrites the golden pictures and hashes; look at `git diff --stat tests/goldens demos` and at the pictures afterwards.
 goldens:
     CATOPTRA_UPDATE_GOLDENS=1 cargo test -p catoptra_tests --test snapshots
     CATOPTRA_UPDATE_GOLDENS=1 cargo test -p catoptra_demos --test games
+    CATOPTRA_UPDATE_GOLDENS=1 cargo test -p catoptra_demos --lib look
 
 # The five scenes at 1024x1024 into out/.
 pictures:

@@ -104,6 +104,8 @@ fn wrong_use_is_status_2() {
         (&["render", "rolling-box", "--exposure", "nan"], "--exposure"),
         (&["render", "rolling-box", "--bounces", "9", "--vpls", "4"], "VPLs"),
         (&["render", "rolling-box", "--no-such-option"], "--no-such-option"),
+        (&["render", "rolling-box", "--animation", "1"], "rolling-box is no file"),
+        (&["play", "two-spheres", "--animation", "1"], "name a glTF or GLB file"),
     ];
     for (args, part) in cases {
         fails(args, 2, part);
@@ -451,6 +453,66 @@ fn a_file_without_camera_and_light_is_seen_and_it_says_so() {
     let image = image_io::read_image(&dir.join("triangle-0000.png")).unwrap().linear;
     let lit = image.pixels.iter().filter(|p| p[0] > 0.1).count();
     assert!(lit > 20, "{lit} pixels are lit");
+}
+
+/// The triangle, moved 0.8 m to the right by its first animation and upwards by its second, in a second.
+fn animated_triangle() -> String {
+    let values = [0.0_f32, 1.0, 0.0, 0.0, 0.0, 0.8, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.8, 0.0];
+    let bytes: String = values.iter().flat_map(|v| v.to_le_bytes()).map(|b| format!("%{b:02x}")).collect();
+    let clip = |name: &str, output: u32| {
+        let channel = r#""channels":[{"sampler":0,"target":{"node":0,"path":"translation"}}]"#;
+        format!(r#"{{"name":"{name}",{channel},"samplers":[{{"input":1,"output":{output}}}]}}"#)
+    };
+    let accessor = |offset: u32, kind: &str| {
+        format!(r#"{{"bufferView":1,"byteOffset":{offset},"componentType":5126,"count":2,"type":"{kind}"}}"#)
+    };
+    let more = [
+        (r#""meshes""#, format!(r#""animations":[{},{}],"meshes""#, clip("Aside", 2), clip("Rise", 3))),
+        (
+            r#""max":[1,1,0]}"#,
+            format!(r#""max":[1,1,0]}},{},{},{}"#, accessor(0, "SCALAR"), accessor(8, "VEC3"), accessor(32, "VEC3")),
+        ),
+        (r#""byteLength":36}],"#, r#""byteLength":36},{"buffer":1,"byteLength":56}],"#.into()),
+        (
+            r#"gD8AAAAA"}]"#,
+            format!(r#"gD8AAAAA"}},{{"byteLength":56,"uri":"data:application/octet-stream,{bytes}"}}]"#),
+        ),
+    ];
+    more.iter().fold(TRIANGLE.replace("TRANSLATION", "[0,0,0]"), |text, (from, to)| {
+        assert_eq!(text.matches(from).count(), 1, "{from}");
+        text.replace(from, to)
+    })
+}
+
+#[test]
+fn an_animation_is_chosen_by_number_or_name() {
+    let dir = folder("animation");
+    let file = dir.join("moving.gltf");
+    std::fs::write(&file, animated_triangle()).unwrap();
+    // Where the lit pixels are, right and down.
+    let middle = |options: &[&str]| {
+        let out = ["--out", text(&dir)];
+        let lines = render(&[&[text(&file), "--frame", "30"], options, &FAST[..], &out].concat());
+        let image = image_io::read_image(&lines[0].4).unwrap().linear;
+        let lit = |i: &usize| image.pixels[*i][0] > 0.1;
+        let at: Vec<usize> = (0..image.pixels.len()).filter(lit).collect();
+        assert!(at.len() > 10, "{options:?}: {} pixels are lit", at.len());
+        let mean = |f: &dyn Fn(usize) -> usize| at.iter().map(|i| f(*i) as f64).sum::<f64>() / at.len() as f64;
+        let width = image.width as usize;
+        (mean(&|i| i % width), mean(&|i| i / width))
+    };
+    let first = middle(&[]);
+    assert_eq!(middle(&["--animation", "0"]), first);
+    assert_eq!(middle(&["--animation", "Aside"]), first);
+    let second = middle(&["--animation", "1"]);
+    assert_eq!(middle(&["--animation", "rise"]), second);
+    assert!(second.0 < first.0 - 1.0 && second.1 < first.1 - 1.0, "{first:?} aside, {second:?} up");
+    let list = r#"there is no animation "Dance"; there are 0 "Aside" (1.00 s), 1 "Rise" (1.00 s)"#;
+    fails(&["render", text(&file), "--animation", "Dance"], 2, list);
+    fails(&["render", text(&file), "--animation", "2"], 2, "1 \"Rise\"");
+    let still = dir.join("still.gltf");
+    std::fs::write(&still, TRIANGLE.replace("TRANSLATION", "[0,0,0]")).unwrap();
+    fails(&["export", text(&still), text(&dir.join("x.glb")), "--animation", "0"], 2, "it has none");
 }
 
 #[test]

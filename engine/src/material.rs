@@ -93,6 +93,24 @@ pub fn roughness_from_shininess(shininess: f32) -> f32 {
     (2.0 / (shininess.max(0.0) + 2.0)).sqrt().sqrt()
 }
 
+/// Greatest reflectance at normal incidence of what is no metal; above it reflectance counts as metal's.
+pub const DIELECTRIC_REFLECTANCE: f32 = 0.08;
+
+/// Colour and share of metal of a surface that is told by its diffuse colour and its reflectance.
+///
+/// With s the greatest channel of the reflectance F: m = (s − 0.08)/(1 − 0.08), clamped to [0, 1], and the colour lerps from
+/// the diffuse one to F/s by m, so that a mirror of metal reflects about F and a dielectric keeps its colour.
+///
+/// Twin: `shaders/shared/look.wgsl` (tests/embed_reflectance.rs).
+pub fn metal_of_reflectance(diffuse_color: Vec3, reflectance: Vec3) -> (Vec3, f32) {
+    let strongest = reflectance.max_element();
+    let metallic = ((strongest - DIELECTRIC_REFLECTANCE) / (1.0 - DIELECTRIC_REFLECTANCE)).clamp(0.0, 1.0);
+    if metallic == 0.0 {
+        return (diffuse_color, 0.0);
+    }
+    (diffuse_color.lerp(reflectance / strongest, metallic), metallic)
+}
+
 /// How one place of a surface splits light: the fields of [`Material`] of the same names.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Look {
@@ -121,7 +139,7 @@ impl Look {
     }
 }
 
-/// Metal, roughness, glass and coverage that textures vary from place to place. Where a material has it, its [`Look`] is
+/// Metal, roughness, reflectance, glass and coverage that textures vary from place to place. Where a material has it, its [`Look`] is
 /// made anew at each place; the material's own fields of those names stand for its mean.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Physical {
@@ -133,6 +151,13 @@ pub struct Physical {
     pub metallic_roughness_texture: Option<TextureRef>,
     /// Reflectance of what is not metal, at normal incidence, per channel in [0, 1].
     pub reflectance: Vec3,
+    /// Multiplies `reflectance` by its colour; sRGB image.
+    pub reflectance_texture: Option<TextureRef>,
+    /// Multiplies `reflectance` by its alpha.
+    pub reflectance_strength_texture: Option<TextureRef>,
+    /// The surface is told by diffuse colour, reflectance and gloss: metal comes of [`metal_of_reflectance`] in place of
+    /// `metallic`, and the alpha of `reflectance_texture` multiplies the gloss, 1 − `roughness`.
+    pub by_reflectance: bool,
     /// Share of glass in what is not metal, in [0, 1].
     pub transmission: f32,
     /// Multiplies `transmission` by its red; linear image.
@@ -155,12 +180,38 @@ pub struct PhysicalPlace {
     pub coverage: f32,
 }
 
+impl Default for Physical {
+    /// A metal of roughness 1, as in glTF.
+    fn default() -> Self {
+        Self {
+            metallic: 1.0,
+            roughness: 1.0,
+            metallic_roughness_texture: None,
+            reflectance: Vec3::splat(0.04),
+            reflectance_texture: None,
+            reflectance_strength_texture: None,
+            by_reflectance: false,
+            transmission: 0.0,
+            transmission_texture: None,
+            blended: false,
+        }
+    }
+}
+
 impl Physical {
-    /// The look of a place of colour `base_color`, by the formulas in the docs of [`crate::gltf`].
-    ///
-    /// Twin: `shaders/shared/look.wgsl` (tests/twins_look.rs).
+    /// The look of a place of colour `base_color` and the factor's reflectance.
     pub fn look(&self, base_color: Vec3, at: PhysicalPlace) -> Look {
-        let PhysicalPlace { metallic, roughness, transmission, coverage } = at;
+        at.look(self.reflectance, base_color)
+    }
+}
+
+impl PhysicalPlace {
+    /// The look of the place, by the formulas in the docs of [`crate::gltf`].
+    /// * `reflectance`: of what is not metal, at normal incidence, in [0, 1]
+    ///
+    /// Twin: `shaders/shared/look.wgsl` (tests/embed_textures.rs).
+    pub fn look(self, reflectance: Vec3, base_color: Vec3) -> Look {
+        let Self { metallic, roughness, transmission, coverage } = self;
         let mut out = if roughness <= POLISHED {
             Look { diffuse: 1.0, specular: Vec3::ZERO, shininess: 32.0, mirror: metallic, transmission }
         } else {
@@ -172,7 +223,7 @@ impl Physical {
             let matte = rest * (1.0 - transmission_of_rest);
             let diffuse =
                 if matte > 0.0 { ((1.0 - metallic) * (1.0 - transmission) / matte).clamp(0.0, 1.0) } else { 0.0 };
-            let specular = (self.reflectance * (1.0 - roughness)).lerp(base_color, metallic) * (1.0 - polish);
+            let specular = (reflectance * (1.0 - roughness)).lerp(base_color, metallic) * (1.0 - polish);
             let shininess = shininess_from_roughness(roughness);
             Look { diffuse, specular, shininess, mirror, transmission: transmission_of_rest }
         };
@@ -312,26 +363,29 @@ impl Material {
     }
     /// All textures that it uses.
     pub fn textures(&self) -> impl Iterator<Item = &TextureRef> {
-        let [metal, glass] = match &self.physical {
-            Some(p) => [&p.metallic_roughness_texture, &p.transmission_texture],
-            None => [&None, &None],
-        };
-        [&self.base_color_texture, &self.emissive_texture, &self.normal_texture, metal, glass].into_iter().flatten()
+        let own = [&self.base_color_texture, &self.emissive_texture, &self.normal_texture];
+        let physical = self.physical.iter().flat_map(|p| {
+            [
+                &p.metallic_roughness_texture,
+                &p.transmission_texture,
+                &p.reflectance_texture,
+                &p.reflectance_strength_texture,
+            ]
+        });
+        own.into_iter().chain(physical).flatten()
     }
     /// All textures that it uses, to be renumbered.
     pub fn textures_mut(&mut self) -> impl Iterator<Item = &mut TextureRef> {
-        let (metal, glass) = match &mut self.physical {
-            Some(p) => (p.metallic_roughness_texture.as_mut(), p.transmission_texture.as_mut()),
-            None => (None, None),
-        };
-        let own = [
-            self.base_color_texture.as_mut(),
-            self.emissive_texture.as_mut(),
-            self.normal_texture.as_mut(),
-            metal,
-            glass,
-        ];
-        own.into_iter().flatten()
+        let own = [&mut self.base_color_texture, &mut self.emissive_texture, &mut self.normal_texture];
+        let physical = self.physical.iter_mut().flat_map(|p| {
+            [
+                &mut p.metallic_roughness_texture,
+                &mut p.transmission_texture,
+                &mut p.reflectance_texture,
+                &mut p.reflectance_strength_texture,
+            ]
+        });
+        own.into_iter().chain(physical).flatten()
     }
     /// First field that is out of its range, with its value.
     pub fn invalid_field(&self) -> Option<(&'static str, f32)> {

@@ -227,7 +227,7 @@ fn pixels(state: &mut FrameState, level: SimdLevel, scene: &RenderScene, setting
     let start = Instant::now();
     let interleaved = settings.vpl.map_or(1, |v| v.interleave);
     let _span = tracing::info_span!("pixels").entered();
-    state.camera.build(scene, &state.accel, [settings.width, settings.height]);
+    state.camera.build(level, scene, &state.accel, [settings.width, settings.height]);
     let setup = milliseconds(start);
     let start = Instant::now();
     let mut guides = std::mem::take(&mut state.guides);

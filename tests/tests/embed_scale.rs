@@ -7,7 +7,7 @@ use catoptra_engine::{
     gltf::{ImportLimits, load_gltf},
     shapes,
 };
-use catoptra_render_hybrid::RenderSettings;
+use catoptra_render_hybrid::{BlasKind, RasterLane, RenderSettings, Renderer, RendererOptions, SimdLevel};
 use catoptra_tests::{HandScene, at, fixtures, shared_or_skip};
 use std::{sync::Arc, time::Instant};
 
@@ -46,6 +46,31 @@ fn lit(eye: Vec3) -> HandScene {
     s.light(LightKind::Directional, Vec3::ZERO, Vec3::splat(3.0)).direction_world =
         Vec3::new(-0.3, -0.8, -0.5).normalize();
     s
+}
+
+#[test]
+fn the_picture_of_a_crowd_does_not_depend_on_how_it_is_found() {
+    // Balls of more triangles than pixels, 600 of them; from a kd-tree every triangle is looked at, from boxes only those
+    // that a pixel sees.
+    let mut s = lit(Vec3::new(9.0, 7.0, 9.0));
+    s.0.meshes.push(Arc::new(shapes::sphere(0.4, 30, 60)));
+    s.0.materials.push(Material::mirror(Vec3::splat(0.9), 0.3));
+    for i in 0..600_u32 {
+        let place = Vec3::new((i % 25) as f32 - 12.0, 0.0, (i / 25) as f32 - 12.0);
+        let matrix3 = Mat3::from_rotation_y(i as f32) * (0.3 + 0.02 * (i % 50) as f32);
+        let world_from_object = Affine3 { matrix3, translation: place };
+        s.0.instances.push(Instance { stable_id: u64::from(i), mesh: 0, material: 0, world_from_object });
+    }
+    let mut hashes = Vec::new();
+    for blas in [BlasKind::Bvh, BlasKind::KdTree] {
+        for simd in [SimdLevel::Portable, SimdLevel::Auto] {
+            let options = RendererOptions { blas, simd, raster: RasterLane::Cpu, ..Default::default() };
+            let frame = Renderer::new(options).unwrap().render(&s.0, &fixtures::small(96, 80, 128)).unwrap();
+            assert!(frame.image.pixels.iter().any(|p| p[0] > 0.05), "there is something to see");
+            hashes.push(frame.image.hash());
+        }
+    }
+    assert!(hashes.iter().all(|h| *h == hashes[0]), "{hashes:?}");
 }
 
 #[test]

@@ -37,15 +37,7 @@ fn map(number: u32) -> Option<TextureRef> {
 }
 
 fn physical() -> Physical {
-    Physical {
-        metallic: 1.0,
-        roughness: 1.0,
-        metallic_roughness_texture: None,
-        reflectance: Vec3::splat(0.04),
-        transmission: 0.0,
-        transmission_texture: None,
-        blended: false,
-    }
+    Physical::default()
 }
 
 /// The CPU lane, and the GPU lane where there is one.

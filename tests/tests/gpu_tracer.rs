@@ -519,7 +519,7 @@ fn real_statue_and_atrium() {
     let test = "real_statue_and_atrium";
     let Some(statue) = shared_or_skip(test, "assets/venus/venus_31402.glb") else { return };
     let Some(atrium) = shared_or_skip(test, "assets/sponza/sponza_dabrovic_66454.glb") else { return };
-    let options = scenes::SceneOptions { statue: Some(statue), atrium: Some(atrium) };
+    let options = scenes::SceneOptions { statue: Some(statue), atrium: Some(atrium), ..Default::default() };
     let Some(mut cpu) = renderer(test, Tracer::Cpu) else { return };
     for tracer in [Tracer::Gpu, Tracer::GpuFragment] {
         let mut gpu = renderer(test, tracer).unwrap();
@@ -604,10 +604,10 @@ fn textured_scene() -> RenderScene {
         metallic: 0.9,
         roughness: 0.8,
         metallic_roughness_texture: by(1),
-        reflectance: Vec3::splat(0.04),
-        transmission: 0.0,
-        transmission_texture: None,
-        blended: false,
+        reflectance: Vec3::splat(0.2),
+        reflectance_texture: by(2),
+        reflectance_strength_texture: by(0),
+        ..Physical::default()
     };
     let floor = Material {
         base_color_texture: by(0),

@@ -58,6 +58,9 @@ pub struct PlayArgs {
     /// How pictures come into the window
     #[arg(long, value_enum, default_value_t)]
     pub window: WindowArg,
+    /// Takes the window's graphics device away after N pictures: what follows is tested with it
+    #[arg(long, value_name = "N", hide = true)]
+    pub lose_device: Option<u64>,
     /// How the picture is made
     #[command(flatten)]
     pub picture: PictureArgs,

@@ -24,7 +24,7 @@ pub fn run(args: &BenchArgs) -> Result<(), Failure> {
     settings.time_passes = args.picture.trace.is_some();
     let targets = Target::parse(&args.target)?;
     refuse_more_than_memory(&settings)?;
-    let options = args.picture.scene.options();
+    let options = args.picture.scene.options_for(&targets)?;
     let mut renderer = args.picture.renderer()?;
     let recording = trace_file::start(args.picture.trace.as_deref())?;
     let json_alone = args.json.as_deref() == Some(Path::new("-"));

@@ -9,7 +9,7 @@ pub fn run(args: &ExportArgs) -> Result<(), Failure> {
         return Err(Failure::usage(format!("{}: export writes a file that ends in .glb", args.file.display())));
     }
     let target = Target::parse_one(&args.target)?;
-    let mut world = World::open(&target, &args.scene.options())?;
+    let mut world = World::open(&target, &args.scene.options_for(std::slice::from_ref(&target))?)?;
     world.advance_to(args.frame);
     world.scene().validate()?;
     gltf::export_glb(world.scene(), &args.file)?;

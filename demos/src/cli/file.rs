@@ -6,15 +6,37 @@ use catoptra_engine::{
     bevy_app::App,
     bevy_transform::components::Transform,
     fit,
-    gltf::{ImportLimits, load_gltf},
+    gltf::{ImportLimits, ImportedScene, load_gltf},
 };
 use std::path::Path;
 
 /// Stable id of what a file lacked and was given; the file's own count up from 1.
 const ADDED: u64 = u64::MAX - 2;
 
+/// Number of the animation that `text` names: a number from 0, a name, or a name in other capitals.
+///
+/// # Errors
+/// What there is.
+fn animation(scene: &ImportedScene, text: &str) -> Result<usize, String> {
+    let by_number = text.parse().ok().filter(|n| *n < scene.animations.len());
+    let alike = |name: &str| name.to_lowercase() == text.to_lowercase();
+    let by_likeness = || scene.animations.iter().position(|a| a.name.as_deref().is_some_and(alike));
+    if let Some(found) = by_number.or_else(|| scene.animation_named(text)).or_else(by_likeness) {
+        return Ok(found);
+    }
+    let each = scene.animations.iter().enumerate().map(|(i, a)| match &a.name {
+        Some(name) => format!("{i} {name:?} ({:.2} s)", a.duration),
+        None => format!("{i} ({:.2} s)", a.duration),
+    });
+    Err(match each.collect::<Vec<_>>() {
+        none if none.is_empty() => format!("there is no animation {text:?}: it has none"),
+        all => format!("there is no animation {text:?}; there are {}", all.join(", ")),
+    })
+}
+
 /// The file at frame 0; a fitted camera and a headlight where it has none, told on stderr.
-pub fn open(path: &Path) -> Result<App, Failure> {
+/// * `plays`: number or name of the animation; `None`: the first, where there is one
+pub fn open(path: &Path, plays: Option<&str>) -> Result<App, Failure> {
     let failed = |e: &dyn std::fmt::Display| {
         let (name, text) = (path.display().to_string(), e.to_string());
         // Errors of the file system name the file already.
@@ -28,8 +50,13 @@ pub fn open(path: &Path) -> Result<App, Failure> {
     if report.instances == 0 {
         return Err(failed(&"there is nothing to draw in it"));
     }
+    let plays = plays.map(|text| animation(&imported, text)).transpose();
+    let plays = plays.map_err(|e| Failure::usage(format!("{}: {e}", path.display())))?;
     let mut world = app::new_app();
-    imported.spawn(world.world_mut(), 1);
+    let spawned = imported.spawn(world.world_mut(), 1);
+    if plays.is_some() {
+        imported.play(world.world_mut(), &spawned, plays);
+    }
     let bounds = imported.bounds_world();
     if !report.has_camera {
         let camera = fit::fit_camera(bounds);

@@ -19,7 +19,7 @@ const GOOD_HALVES: f64 = 0.02;
 pub fn run(args: &JudgeArgs) -> Result<(), Failure> {
     let settings = args.picture.settings(DEFAULT_SIZE)?;
     let targets = Target::parse(&args.target)?;
-    let scene_options = args.picture.scene.options();
+    let scene_options = args.picture.scene.options_for(&targets)?;
     let mut renderer = args.picture.renderer()?;
     line(format!(
         "{:<20} {:>9} {:>6} {:>6} {:>12} {:>10} {:>9} {:>11} {:>7} {:>20}",

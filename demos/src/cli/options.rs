@@ -1,6 +1,6 @@
 //! The options that change the picture, or how it is made: shared by `render`, `bench`, `judge` and `play`.
 
-use super::failure::Failure;
+use super::{failure::Failure, target::Target};
 use crate::scenes::SceneOptions;
 use catoptra_render_hybrid as hybrid;
 use clap::{Args, ValueEnum};
@@ -123,7 +123,7 @@ pub enum Simd {
     Avx512,
 }
 
-/// What may stand in for the scenes' own statue and atrium.
+/// What may stand in for the scenes' own statue and atrium, and what a file plays.
 #[derive(Clone, Debug, Default, Args)]
 pub struct SceneArgs {
     /// glTF or GLB file instead of the statue of rolling-box-venus
@@ -132,12 +132,28 @@ pub struct SceneArgs {
     /// glTF or GLB file instead of the atrium of rolling-box-sponza
     #[arg(long, value_name = "F")]
     pub atrium: Option<PathBuf>,
+    /// Animation of a glTF or GLB file, by its number from 0 or its name [default: 0]
+    #[arg(long, value_name = "N|NAME")]
+    pub animation: Option<String>,
 }
 
 impl SceneArgs {
+    /// For opening `targets`.
+    ///
+    /// # Errors
+    /// Wrong use: an animation is chosen, and none of them is a file.
+    pub fn options_for(&self, targets: &[Target]) -> Result<SceneOptions, Failure> {
+        match (&self.animation, targets) {
+            (Some(_), [Target::Scene(name), ..]) => {
+                Err(Failure::usage(format!("--animation chooses among a file's animations; {name} is no file")))
+            }
+            _ => Ok(self.options()),
+        }
+    }
+
     /// For [`crate::scenes::build`].
     pub fn options(&self) -> SceneOptions {
-        SceneOptions { statue: self.statue.clone(), atrium: self.atrium.clone() }
+        SceneOptions { statue: self.statue.clone(), atrium: self.atrium.clone(), animation: self.animation.clone() }
     }
 }
 

@@ -50,7 +50,7 @@ pub fn run(args: &ReferenceArgs) -> Result<(), Failure> {
         glass_shadows: GlassShadows::Opaque,
         seed: args.seed,
     };
-    let mut world = World::open(&target, &args.scene.options())?;
+    let mut world = World::open(&target, &args.scene.options_for(std::slice::from_ref(&target))?)?;
     let mut renderer = renderer(args.threads)?;
     world.advance_to(args.frame);
     let scene = world.scene();

@@ -69,7 +69,7 @@ pub fn render(job: &RenderJob<'_>) -> Result<(), Failure> {
     settings.keep_layers = job.layer != LayerArg::Final;
     settings.time_passes = job.picture.trace.is_some();
     refuse_more_than_memory(&settings)?;
-    let options = job.picture.scene.options();
+    let options = job.picture.scene.options_for(&job.targets)?;
     let recording = trace_file::start(job.picture.trace.as_deref())?;
     let mut renderer = None;
     let mut entries = Vec::new();

@@ -16,11 +16,11 @@ impl World {
     /// The target at frame 0.
     ///
     /// # Errors
-    /// A file that cannot be read or used.
+    /// A file that cannot be read or used; an animation that is not there (wrong use).
     pub fn open(target: &Target, options: &SceneOptions) -> Result<Self, Failure> {
         let app = match target {
             Target::Scene(name) => scenes::build(name, options)?,
-            Target::File(path) => file::open(path)?,
+            Target::File(path) => file::open(path, options.animation.as_deref())?,
         };
         Ok(Self { app, name: target.name(), frame: 0 })
     }

@@ -8,6 +8,7 @@
 mod action;
 mod boxes;
 mod cube;
+mod follow;
 mod level;
 mod putt;
 mod replay;
@@ -90,7 +91,9 @@ impl Kind {
     /// Where to look for what the player must know.
     pub fn look(self) -> &'static str {
         match self {
-            Self::RollingBox => "The mirrors on the walls show the sides that face away from you.",
+            Self::RollingBox => {
+                "The mirrors on the walls show the sides that face away from you. Each colour has its pips, as on a die."
+            }
             Self::Donut => {
                 "The ring and the glass show what glows behind you. Cracked tiles break once you leave them."
             }
@@ -98,7 +101,7 @@ impl Kind {
             Self::Venus => {
                 "Venus's mirror shows the lamps: the lowest colour comes first. A wrong tile drops you back to the start."
             }
-            Self::Sponza => "The box's own mirror sides show the gates. Red ones throw you back.",
+            Self::Sponza => "The box's own mirror sides show the gates. Red ones, crossed out, throw you back.",
         }
     }
 }

@@ -4,6 +4,7 @@ use super::{
     action::Action,
     boxes::{BoxLevel, BoxState, Tile},
     cube::{Dir, Hue},
+    follow::lean,
     level::Body,
     putt::{aim_direction, shot_speed},
     session::{Move, Outcome, Session, State},
@@ -12,7 +13,7 @@ use super::{
 use bevy_app::{App, Plugin, Startup};
 use bevy_ecs::prelude::*;
 use bevy_transform::components::Transform;
-use catoptra_engine::{FixedUpdate, Hidden, MaterialId, MeshInstance};
+use catoptra_engine::{FixedUpdate, Hidden, MaterialId, MeshId, MeshInstance};
 use catoptra_physics_lite::{Motion, PreviousPose, RollingSphere, TippingBox};
 use glam::{DVec2, Vec3};
 use std::collections::VecDeque;
@@ -70,12 +71,12 @@ pub struct Player;
 pub enum Look {
     /// A tile: its field.
     Tile([i8; 2]),
-    /// The one lamp of the donut's game.
-    Wanted,
+    /// The one lamp of the donut's game: its meshes by colour.
+    Wanted([MeshId; 6]),
     /// A lamp of the statue's row, from 0.
     Lamp(usize),
-    /// A gate.
-    Gate(u8),
+    /// A part of a gate: its meshes while it is open and shut, where they differ.
+    Gate(u8, Option<[MeshId; 2]>),
     /// The putter: a bar from the ball in the direction of the shot.
     Putter,
 }
@@ -103,7 +104,7 @@ impl Plugin for GamePlugin {
         app.init_resource::<Input>();
         app.add_systems(FixedUpdate, act.before(Motion));
         app.add_systems(Startup, dress);
-        app.add_systems(FixedUpdate, (settle, carry_rings, dress).chain().after(Motion));
+        app.add_systems(FixedUpdate, (settle, carry_rings, dress, lean).chain().after(Motion));
     }
 }
 
@@ -285,8 +286,8 @@ fn dress(
         _ => {}
     };
     for (entity, look, mut instance, mut transform, hidden) in &mut things {
-        let mut wear = |material: MaterialId| {
-            let worn = MeshInstance { material, ..*instance };
+        let mut wear = |material: MaterialId, mesh: Option<MeshId>| {
+            let worn = MeshInstance { material, mesh: mesh.unwrap_or(instance.mesh) };
             instance.set_if_neq(worn);
         };
         match (look, &game.session.level.body, &game.session.state) {
@@ -305,19 +306,22 @@ fn dress(
                 if game.phase == Phase::Rest {
                     hide(entity, hidden, level.is_broken(state, *at));
                     if let Tile::Coloured(hue) = level.tile(*at) {
-                        wear(tile_look(level, state, *at, hue, &looks));
+                        wear(tile_look(level, state, *at, hue, &looks), None);
                     }
                 }
             }
             (_, Body::Box(level), State::Box(state)) if game.phase == Phase::Rest => match *look {
-                Look::Wanted => wear(level.next(state).map_or(looks.out, |i| looks.lit[level.order[i] as usize])),
+                Look::Wanted(by_hue) => match level.next(state) {
+                    Some(i) => wear(looks.lit[level.order[i] as usize], Some(by_hue[level.order[i] as usize])),
+                    None => wear(looks.out, None),
+                },
                 Look::Lamp(i) => {
                     let burns = level.next(state).is_some_and(|next| i >= next);
-                    wear(if burns { looks.lit[level.order[i] as usize] } else { looks.out });
+                    wear(if burns { looks.lit[level.order[i] as usize] } else { looks.out }, None);
                 }
-                Look::Gate(gate) => {
+                Look::Gate(gate, meshes) => {
                     let open = level.next(state).is_none_or(|i| level.gates[i] == gate);
-                    wear(looks.gate[usize::from(!open)]);
+                    wear(looks.gate[usize::from(!open)], meshes.map(|m| m[usize::from(!open)]));
                 }
                 _ => {}
             },

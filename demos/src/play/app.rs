@@ -2,17 +2,17 @@
 
 use super::{
     PlayError, WindowArg,
+    compositor::{PanelDrawing, Stage},
     keys::{self, Command},
-    present::{PanelDrawing, Stage},
     scene_by_number,
     screen::Screen,
     settings::{self, Settings},
-    shared::{Answer, Controls, Picture, Requests, Shared, Thumbnail},
+    shared::{Answer, Controls, Picture, Requests, Scale, Shared, Thumbnail},
     shell::{self, Menu, Shell, Wishes},
-    worker::{self, Report},
+    worker::{self, Machine, Report},
 };
-use crate::cli::{Failure, PictureArgs, note};
-use catoptra_render_hybrid::image_io;
+use crate::cli::{Failure, PlayArgs, note};
+use catoptra_render_hybrid::{Renderer, image_io};
 use std::{
     path::PathBuf,
     sync::Arc,
@@ -28,20 +28,18 @@ use winit::{
 };
 
 /// Opens the window and plays until it is closed.
-/// * `record`: file for the first game's recording
-/// * `seconds`: closes the window after so long and writes the plot of frame times to `out`
-pub fn run(
-    mut controls: Controls,
-    picture: &PictureArgs,
-    record: Option<PathBuf>,
-    seconds: Option<f64>,
-    window: WindowArg,
-) -> Result<(), PlayError> {
+pub fn run(mut controls: Controls, args: &PlayArgs) -> Result<(), PlayError> {
+    let picture = &args.picture;
     let event_loop = EventLoop::<Report>::with_user_event()
         .build()
         .map_err(|e| PlayError::NoWindow(format!("there is no display ({})", first_words(&e.to_string()))))?;
     event_loop.set_control_flow(ControlFlow::Wait);
-    let renderer = picture.renderer()?;
+    let made_with = picture.renderer_options();
+    let machine = Machine {
+        renderer: picture.renderer()?,
+        options: made_with,
+        make: |options| Renderer::new(options).map_err(Failure::from),
+    };
     let config = settings::path();
     let (remembered, notice) = match &config {
         Some(path) => Settings::load(path),
@@ -51,15 +49,15 @@ pub fn run(
         note(notice);
     }
     if picture.size.is_none() {
-        controls.scale = shell::scale_of(remembered.rate);
+        controls.scale = Scale::of_rate(remembered.rate);
     }
     let (shared, options) = (Arc::new(Shared::new(controls.clone())), picture.scene.options());
     let proxy = event_loop.create_proxy();
     let worker = {
-        let shared = shared.clone();
+        let (shared, record) = (shared.clone(), args.record.clone());
         std::thread::Builder::new()
             .name("catoptra-play".into())
-            .spawn(move || worker::run(&shared, renderer, &options, record, |r| proxy.send_event(r).is_ok()))
+            .spawn(move || worker::run(&shared, machine, &options, record, |r| proxy.send_event(r).is_ok()))
             .map_err(|e| PlayError::Other(Failure::other(e)))?
     };
     let mut app = App {
@@ -68,16 +66,18 @@ pub fn run(
         open: None,
         shell: Shell::new(remembered, notice.unwrap_or_default()),
         config,
-        window,
+        window: args.window,
         picture: None,
         thumbnails: Vec::new(),
         reopened: None,
         last_picture: Instant::now(),
-        until: seconds.map(|s| Instant::now() + Duration::from_secs_f64(s)),
+        pictures: 0,
+        lose_device: args.lose_device,
+        until: args.seconds.map(|s| Instant::now() + Duration::from_secs_f64(s)),
         end: None,
     };
     let ran = event_loop.run_app(&mut app);
-    if seconds.is_some() {
+    if args.seconds.is_some() {
         app.save_plot();
     }
     app.stop(worker);
@@ -109,6 +109,10 @@ struct App {
     thumbnails: Vec<Thumbnail>,
     /// When that was last done.
     reopened: Option<Instant>,
+    /// Pictures shown so far.
+    pictures: u64,
+    /// After how many of them the device is taken away, for tests.
+    lose_device: Option<u64>,
     /// When the window closes by itself.
     until: Option<Instant>,
     /// Why the window closes, if not because the user wants it.
@@ -283,6 +287,10 @@ impl App {
         {
             save = shell.settings.learn(hud.kind.name(), hud.level.0, hud.moves.0, stars);
         }
+        self.pictures += 1;
+        if self.lose_device == Some(self.pictures) {
+            open.screen.lose_device();
+        }
         open.screen.upload(&picture);
         open.window.set_title(&format!("Catoptra - {}", picture.name));
         self.picture = Some(picture);
@@ -297,6 +305,7 @@ impl App {
                 Answer::Tree(tree, names) => self.shell.tree = Some((tree, names)),
                 Answer::Told(text) => self.shell.message = text,
                 Answer::Thumbnail(t) => self.keep_thumbnail(t),
+                Answer::Machine(options) => self.controls.machine = options,
             }
         }
     }
@@ -313,9 +322,10 @@ impl App {
         let Some(command) = self.shell.settings.keys.command(&name) else {
             let digit = name.parse().ok().and_then(scene_by_number);
             if let Some(target) = digit {
-                self.shell.hud = None;
-                self.shell.menu = None;
-                self.change(|c| (c.target, c.paused, c.photo) = (Some(target), false, None));
+                let mut controls = self.controls.clone();
+                self.shell.leave(&mut controls);
+                controls.target = Some(target);
+                self.change(|c| *c = controls);
             }
             return;
         };

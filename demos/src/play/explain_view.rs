@@ -4,16 +4,18 @@ use catoptra_render_hybrid::{
     image_io::srgb8_from_linear,
     trace::explain::{RayKind, RayNode, RayTree},
 };
-use egui::{Color32, RichText, ScrollArea, Ui};
+use egui::{Color32, Rect, RichText, ScrollArea, Ui, Vec2};
 use glam::Vec3;
 
 /// Lines that are shown at most.
 const MOST_LINES: usize = 200;
 
-/// The window; false when it was closed.
-pub fn window(ui: &Ui, tree: &RayTree, names: &[String]) -> bool {
+/// The window, at first below the title of the game on `stage`; false when it was closed.
+pub fn window(ui: &Ui, stage: Rect, tree: &RayTree, names: &[String]) -> bool {
     let mut open = true;
-    egui::Window::new("Why this pixel").open(&mut open).default_size([520.0, 340.0]).show(ui.ctx(), |ui| {
+    let window = egui::Window::new("Why this pixel").default_pos(stage.min + Vec2::new(10.0, 95.0));
+    let size = Vec2::new((stage.width() - 60.0).clamp(120.0, 660.0), (stage.height() - 200.0).clamp(80.0, 340.0));
+    window.open(&mut open).default_size(size).show(ui.ctx(), |ui| {
         let sum = tree.radiance();
         ui.horizontal(|ui| {
             swatch(ui, sum);
@@ -70,7 +72,7 @@ fn triple(v: Vec3) -> String {
 
 fn swatch(ui: &mut Ui, radiance: Vec3) {
     let [r, g, b] = radiance.to_array().map(srgb8_from_linear);
-    let (rect, _) = ui.allocate_exact_size(egui::Vec2::splat(14.0), egui::Sense::hover());
+    let (rect, _) = ui.allocate_exact_size(Vec2::splat(14.0), egui::Sense::hover());
     ui.painter().rect_filled(rect, 2.0, Color32::from_rgb(r, g, b));
     ui.painter().rect_stroke(rect, 2.0, egui::Stroke::new(1.0, Color32::GRAY), egui::StrokeKind::Inside);
 }

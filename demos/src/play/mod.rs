@@ -6,6 +6,7 @@
 //! two mailboxes (`shared`): what the user wants, and the newest picture.
 
 mod app;
+mod compositor;
 mod explain_view;
 mod keys;
 mod overlay;
@@ -78,9 +79,13 @@ pub fn play(args: &PlayArgs) -> Result<(), PlayError> {
         let why = format!("--record {}: only games are recorded, and this is watched", path.display());
         return Err(PlayError::Other(Failure::usage(why)));
     }
+    if args.picture.scene.animation.is_some() && !matches!(target, Some(Target::File(_))) {
+        let why = "--animation chooses among a file's animations; name a glTF or GLB file";
+        return Err(PlayError::Other(Failure::usage(why)));
+    }
     let mut controls = Controls::new(target, &args.picture)?;
     controls.game = !args.watch;
-    app::run(controls, &args.picture, args.record.clone(), args.seconds, args.window)
+    app::run(controls, args)
 }
 
 /// The scene with a number of the list, from 1, for picking by key.

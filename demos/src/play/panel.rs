@@ -1,13 +1,14 @@
 //! The panel: a switch for every stage, a view of every layer, and what a frame costs.
 
 use super::{
-    shared::{Controls, Picture, Scale},
+    shared::{Controls, Machine, Picture, Scale},
     shell::{Shell, Wishes},
 };
 use crate::cli::Target;
 use crate::scenes::SCENES;
 use catoptra_render_hybrid::{
-    FrameStats, GlassShadows, Layer, Preset, RasterLane, RenderSettings, ShadowFilter, Shadows, VplOptions, VplShadows,
+    FrameStats, GlassShadows, Layer, Preset, RasterLane, RenderSettings, ShadowFilter, Shadows, Tracer, VplOptions,
+    VplShadows,
 };
 use egui::{ComboBox, Grid, Panel, RichText, ScrollArea, Slider, Ui};
 
@@ -25,6 +26,8 @@ pub struct Figures {
     pub size: (u32, u32),
     /// The renderer's figures.
     pub stats: FrameStats,
+    /// What made it.
+    pub machine: Machine,
     /// Steps and extraction, milliseconds.
     pub physics_ms: f64,
     /// Mean time between pictures over the last half second or so, milliseconds.
@@ -40,6 +43,7 @@ impl Figures {
         self.frame = picture.frame;
         self.size = (picture.width, picture.height);
         self.stats = picture.stats.clone();
+        self.machine = picture.machine.clone();
         self.physics_ms = picture.physics_ms;
         if self.history.len() == HISTORY {
             self.history.pop_front();
@@ -60,6 +64,8 @@ pub fn panel(ui: &mut Ui, shell: &mut Shell, controls: &mut Controls, wishes: &m
             view(ui, shell, controls, wishes);
             ui.separator();
             stages(ui, controls);
+            ui.separator();
+            machine(ui, &shell.figures.machine, controls);
             ui.separator();
             cost(ui, &shell.figures);
             shell.plot.ui(ui);
@@ -201,6 +207,36 @@ fn indirect(ui: &mut Ui, s: &mut RenderSettings, initial: Option<VplOptions>) {
     }
 }
 
+/// Lane and tracer: what is asked for, what runs, and why it is that.
+fn machine(ui: &mut Ui, machine: &Machine, controls: &mut Controls) {
+    let before = controls.machine;
+    ui.horizontal(|ui| {
+        let o = &mut controls.machine;
+        let name = |lane: RasterLane| match lane {
+            RasterLane::Auto => "auto",
+            RasterLane::Cpu => "CPU",
+            RasterLane::Gpu => "GPU",
+        };
+        ComboBox::from_label("lane").width(60.0).selected_text(name(o.raster)).show_ui(ui, |ui| {
+            for lane in [RasterLane::Auto, RasterLane::Cpu, RasterLane::Gpu] {
+                ui.selectable_value(&mut o.raster, lane, name(lane));
+            }
+        });
+        ComboBox::from_label("tracer").width(90.0).selected_text(o.tracer.name()).show_ui(ui, |ui| {
+            for tracer in [Tracer::Auto].into_iter().chain(Tracer::ALL) {
+                ui.selectable_value(&mut o.tracer, tracer, tracer.name());
+            }
+        });
+    });
+    for line in machine.lines() {
+        ui.label(line);
+    }
+    let again = machine.fault.is_some() && ui.button("try the GPU again").clicked();
+    if again || controls.machine != before {
+        controls.once.machine = Some(controls.machine);
+    }
+}
+
 /// A bar a picture, as high as it took long; the line is 1/30 s.
 fn history(ui: &mut Ui, history: &std::collections::VecDeque<f32>) {
     let (rect, _) = ui.allocate_exact_size(egui::vec2(ui.available_width().min(260.0), 48.0), egui::Sense::hover());
@@ -220,13 +256,8 @@ fn history(ui: &mut Ui, history: &std::collections::VecDeque<f32>) {
 
 fn cost(ui: &mut Ui, figures: &Figures) {
     let s = &figures.stats;
-    let lane = match s.raster {
-        RasterLane::Gpu => "GPU",
-        _ => "CPU",
-    };
     let rate = 1e3 / figures.interval_ms.max(0.001);
     ui.label(RichText::new(format!("{rate:.1} pictures/s at {}x{}", figures.size.0, figures.size.1)).strong());
-    ui.label(format!("{lane}: {}", s.device));
     history(ui, &figures.history);
     let rate = s.rays.total() as f64 * 1e-3 / s.stages_ms.total.max(1e-6);
     ui.label(format!("{rate:.2} Mray/s, {} rays", s.rays.total()));

@@ -1,11 +1,6 @@
 //! The way into the window: a graphics driver, or the CPU where there is none.
 
-use super::{
-    WindowArg,
-    present::{PanelDrawing, Presenter},
-    shared::Picture,
-    soft::SoftScreen,
-};
+use super::{WindowArg, compositor::PanelDrawing, present::Presenter, shared::Picture, soft::SoftScreen};
 use crate::cli::note;
 use std::sync::Arc;
 use winit::{event_loop::OwnedDisplayHandle, window::Window};
@@ -68,6 +63,13 @@ impl Screen {
         }
     }
 
+    /// For tests: takes the graphics device away; the CPU's way has none.
+    pub fn lose_device(&self) {
+        if let Way::Gpu(p) = &self.0 {
+            p.lose_device();
+        }
+    }
+
     /// Shows another picture from now on.
     pub fn upload(&mut self, picture: &Picture) {
         match &mut self.0 {
@@ -91,7 +93,7 @@ impl Screen {
     pub fn draw(&mut self, panel: PanelDrawing) -> Result<(), String> {
         match &mut self.0 {
             Way::Cpu(s) => s.draw(&panel),
-            Way::Gpu(p) => p.draw(panel),
+            Way::Gpu(p) => p.draw(&panel),
         }
     }
 }

@@ -6,7 +6,9 @@ use crate::{
     game::{Action, Kind, Session, State},
 };
 use catoptra_engine::{Camera, math};
-use catoptra_render_hybrid::{FrameStats, Layer, RenderSettings, trace::explain::RayTree};
+use catoptra_render_hybrid::{
+    FrameStats, Layer, RasterLane, RenderSettings, Renderer, RendererOptions, Tracer, trace::explain::RayTree,
+};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 
 /// Window that opens where no size was asked for.
@@ -34,6 +36,8 @@ pub struct Requests {
     pub explain: Option<[f32; 2]>,
     /// A still of the photo mode to write.
     pub save: Option<SaveAs>,
+    /// Another lane or tracer, or the same set up anew.
+    pub machine: Option<RendererOptions>,
 }
 
 impl Requests {
@@ -45,6 +49,7 @@ impl Requests {
         self.clicks = earlier.clicks;
         self.explain = self.explain.take().or(earlier.explain);
         self.save = self.save.take().or(earlier.save);
+        self.machine = self.machine.take().or(earlier.machine);
     }
 }
 
@@ -69,11 +74,13 @@ pub struct Photo {
     pub fov: f32,
     /// The high preset, which takes its time.
     pub high: bool,
+    /// Exposure in stops to go back to afterwards.
+    pub before_ev: f32,
 }
 
 impl Photo {
-    /// From a camera of the world.
-    pub fn of(camera: &Camera) -> Self {
+    /// From a camera of the world, and the exposure that it is seen with.
+    pub fn of(camera: &Camera, before_ev: f32) -> Self {
         let d = -camera.world_from_view.matrix3.z_axis;
         let fov = match camera.projection {
             catoptra_engine::Projection::Perspective { fov_y } => fov_y.to_degrees(),
@@ -81,7 +88,7 @@ impl Photo {
         };
         let flat = (d.x * d.x + d.z * d.z).sqrt();
         let (yaw, pitch) = (math::atan2(-d.x, -d.z), math::atan2(d.y, flat));
-        Self { eye: camera.world_from_view.translation, yaw, pitch, fov, high: false }
+        Self { eye: camera.world_from_view.translation, yaw, pitch, fov, high: false, before_ev }
     }
 
     /// Unit directions ahead and to the right.
@@ -165,10 +172,19 @@ pub struct Controls {
     pub scale: Scale,
     /// Size in pixels of the part of the window that shows the picture.
     pub window: (u32, u32),
+    /// Lane and tracer as they were asked for.
+    pub machine: RendererOptions,
     /// The window is closing.
     pub quit: bool,
     /// Counts changes, so that a picture of a world at rest is drawn once.
     pub version: u64,
+}
+
+impl Scale {
+    /// What the setting stands for: pictures a second, or 0 for the whole window at any rate.
+    pub fn of_rate(rate: f32) -> Self {
+        if rate > 0.0 { Self::Hold(rate) } else { Self::Fixed(1.0) }
+    }
 }
 
 impl Controls {
@@ -191,9 +207,58 @@ impl Controls {
             // An explicit size is the size of the picture, not a wish.
             scale: if picture.size.is_some() { Scale::Fixed(1.0) } else { Scale::Hold(20.0) },
             window: (settings.width, settings.height),
+            machine: picture.renderer_options(),
             quit: false,
             version: 0,
         })
+    }
+}
+
+/// What makes the pictures, and why it is that.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Machine {
+    /// The lane that ran.
+    pub lane: RasterLane,
+    /// Adapter or SIMD level.
+    pub device: String,
+    /// The tracer that ran.
+    pub tracer: Tracer,
+    /// The tracer that was chosen, and why.
+    pub chosen: (Tracer, String),
+    /// Why another one than the chosen ran: what was too large for the adapter.
+    pub fallback: Option<String>,
+    /// Why the GPU lane was given up.
+    pub fault: Option<String>,
+}
+
+impl Machine {
+    /// Of the renderer and the figures of its last frame.
+    pub fn of(renderer: &Renderer, stats: &FrameStats) -> Self {
+        let choice = renderer.tracer();
+        Self {
+            lane: stats.raster,
+            device: stats.device.clone(),
+            tracer: stats.tracer,
+            chosen: (choice.tracer, choice.why.clone()),
+            fallback: stats.tracer_fallback.clone(),
+            fault: renderer.fault().map(str::to_string),
+        }
+    }
+
+    /// Lines for a user: lane, tracer, and each reason why it is that.
+    pub fn lines(&self) -> Vec<String> {
+        let lane = if self.lane == RasterLane::Gpu { "GPU" } else { "CPU" };
+        let mut lines = vec![format!("lane: {lane}, {}", self.device)];
+        let (chosen, why) = &self.chosen;
+        match &self.fallback {
+            Some(fallback) => {
+                lines.push(format!("tracer: {} instead of {} ({why})", self.tracer.name(), chosen.name()));
+                lines.push(format!("because {fallback}"));
+            }
+            None => lines.push(format!("tracer: {} ({why})", self.tracer.name())),
+        }
+        lines.extend(self.fault.as_ref().map(|fault| format!("the GPU failed, the CPU took over: {fault}")));
+        lines
     }
 }
 
@@ -209,6 +274,8 @@ pub struct Picture {
     pub name: String,
     /// Steps made so far.
     pub frame: u64,
+    /// What made it.
+    pub machine: Machine,
     /// The renderer's figures.
     pub stats: FrameStats,
     /// Steps and extraction, milliseconds.
@@ -241,6 +308,8 @@ pub enum Answer {
     Told(String),
     /// For the picker.
     Thumbnail(Thumbnail),
+    /// Lane and tracer that are in use from now on, whether they were asked for or not.
+    Machine(RendererOptions),
 }
 
 /// The two mailboxes.
@@ -333,7 +402,7 @@ mod tests {
     fn the_free_camera_begins_where_the_world_s_own_stands() {
         let eye = glam::Vec3::new(1.0, 2.0, 3.0);
         let own = Camera::looking_at(eye, glam::Vec3::new(-0.5, 0.5, -1.0), 0.8);
-        let free = Photo::of(&own).camera(own.near);
+        let free = Photo::of(&own, 0.0).camera(own.near);
         let (a, b) = (own.world_from_view, free.world_from_view);
         assert!((a.translation - b.translation).length() < 1e-5);
         assert!((a.matrix3.z_axis - b.matrix3.z_axis).length() < 1e-5);

@@ -1,7 +1,7 @@
 //! The window without any graphics driver: picture and panel are drawn by the CPU and handed to the window system.
 
 use super::{
-    present::{PanelDrawing, Stage},
+    compositor::{PanelDrawing, Stage},
     shared::Picture,
 };
 use egui::{Color32, epaint::Primitive};
@@ -75,20 +75,21 @@ impl SoftScreen {
 /// sRGB bytes, `[height][width][3]`.
 #[derive(Default)]
 pub struct Canvas {
-    width: u32,
-    height: u32,
-    pixels: Vec<[u8; 3]>,
+    pub width: u32,
+    pub height: u32,
+    pub pixels: Vec<[u8; 3]>,
 }
 
 impl Canvas {
-    fn clear(&mut self, width: u32, height: u32) {
+    /// Black, of another size.
+    pub fn clear(&mut self, width: u32, height: u32) {
         (self.width, self.height) = (width, height);
         self.pixels.clear();
         self.pixels.resize(width as usize * height as usize, [0; 3]);
     }
 
     /// Draws a picture over the stage, bilinear.
-    fn picture(&mut self, stage: Stage, w: u32, h: u32, rgba8: &[u8]) {
+    pub fn picture(&mut self, stage: Stage, w: u32, h: u32, rgba8: &[u8]) {
         if w == 0 || h == 0 {
             return;
         }
@@ -131,7 +132,7 @@ pub struct Painter {
 
 impl Painter {
     /// Takes new and changed textures over.
-    fn learn(&mut self, textures: &egui::TexturesDelta) {
+    pub fn learn(&mut self, textures: &egui::TexturesDelta) {
         for (id, deltas) in &textures.set {
             for delta in deltas {
                 let egui::ImageData::Color(image) = &delta.image;
@@ -152,13 +153,15 @@ impl Painter {
         }
     }
 
-    fn forget(&mut self, textures: &egui::TexturesDelta) {
+    /// Gives up textures that are gone.
+    pub fn forget(&mut self, textures: &egui::TexturesDelta) {
         for id in &textures.free {
             self.textures.remove(id);
         }
     }
 
-    fn paint(&self, canvas: &mut Canvas, primitives: &[egui::ClippedPrimitive], pixels_per_point: f32) {
+    /// Paints triangles in their order.
+    pub fn paint(&self, canvas: &mut Canvas, primitives: &[egui::ClippedPrimitive], pixels_per_point: f32) {
         for primitive in primitives {
             let Primitive::Mesh(mesh) = &primitive.primitive else { continue };
             let Some(texture) = self.textures.get(&mesh.texture_id) else { continue };

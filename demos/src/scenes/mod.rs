@@ -73,13 +73,15 @@ pub const SCENES: [SceneInfo; 5] = [
     },
 ];
 
-/// What a user may replace in the scenes.
+/// What a user may choose of the scenes.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct SceneOptions {
     /// glTF or GLB file that stands in for the statue of `rolling-box-venus`.
     pub statue: Option<PathBuf>,
     /// glTF or GLB file that stands in for the atrium of `rolling-box-sponza`.
     pub atrium: Option<PathBuf>,
+    /// Animation that a file plays, by number or name; the five scenes have none.
+    pub animation: Option<String>,
 }
 
 /// Why a scene could not be built.

@@ -9,6 +9,7 @@ use super::{
 /// Extensions whose meaning is honoured, at least as far as the module's docs say.
 pub(super) const SUPPORTED: &[&str] = &[
     "EXT_mesh_gpu_instancing",
+    "EXT_texture_webp",
     "KHR_lights_punctual",
     "KHR_materials_emissive_strength",
     "KHR_materials_ior",
@@ -18,12 +19,21 @@ pub(super) const SUPPORTED: &[&str] = &[
     "KHR_materials_unlit",
     "KHR_materials_volume",
     "KHR_mesh_quantization",
+    "KHR_node_visibility",
     "KHR_texture_transform",
 ];
 
 /// Extensions that change only the look of a surface, or nothing that is seen: without them the scene is plainer, not wrong, so that a file may
 /// even require them.
 const ONLY_LOOK: &[&str] = &[
+    "EXT_lights_ies",
+    "EXT_lights_image_based",
+    "EXT_mesh_features",
+    "EXT_mesh_manifold",
+    "EXT_structural_metadata",
+    "KHR_animation_pointer",
+    "KHR_audio_emitter",
+    "KHR_interactivity",
     "KHR_materials_anisotropy",
     "KHR_materials_clearcoat",
     "KHR_materials_diffuse_transmission",
@@ -32,7 +42,12 @@ const ONLY_LOOK: &[&str] = &[
     "KHR_materials_sheen",
     "KHR_materials_variants",
     "KHR_materials_volume_scatter",
+    "KHR_node_hoverability",
+    "KHR_node_selectability",
+    "KHR_physics_rigid_bodies",
+    "KHR_xmp",
     "KHR_xmp_json_ld",
+    "MSFT_lod",
 ];
 
 /// Splits a file by its content (not by its name) into JSON text and the GLB's binary chunk.

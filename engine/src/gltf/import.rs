@@ -60,11 +60,13 @@ pub fn load_gltf_bytes(bytes: &[u8], base: Option<&Path>, limits: &ImportLimits)
         let place = &format!("node {number}");
         let pose = nodes::pose(node, place)?;
         let parent = parent.map(|p| stands_for[p]);
+        let hidden = nodes::hidden(node, place)?;
         let plain = |parent, transform, local| ImportedNode {
             name: node.name.clone(),
             parent,
             transform,
             local,
+            hidden,
             primitives: Vec::new(),
             light: None,
             camera: None,
@@ -96,6 +98,7 @@ pub fn load_gltf_bytes(bytes: &[u8], base: Option<&Path>, limits: &ImportLimits)
     let moving = clips.iter().any(|c| !c.of_node.is_empty());
 
     // Meshes, and the materials that they use.
+    let shown = scene.shown();
     let mut geometry = Geometry::new(&document, &buffers, limits);
     let mut textures = Textures::new(&document, &buffers, limits, &mut source);
     let mut instances = 0;
@@ -156,12 +159,13 @@ pub fn load_gltf_bytes(bytes: &[u8], base: Option<&Path>, limits: &ImportLimits)
         if deform.skin.is_some() {
             // A skin poses the mesh in world space; the node's own pose does not count.
             let (transform, local) = (Transform::IDENTITY, Affine3::IDENTITY);
-            let name = node.name.clone();
+            let (name, hidden) = (node.name.clone(), !shown[at]);
             scene.nodes.push(ImportedNode {
                 name,
                 parent: None,
                 transform,
                 local,
+                hidden,
                 primitives,
                 light: None,
                 camera: None,
@@ -176,6 +180,7 @@ pub fn load_gltf_bytes(bytes: &[u8], base: Option<&Path>, limits: &ImportLimits)
                     parent,
                     transform,
                     local,
+                    hidden: false,
                     primitives,
                     light: None,
                     camera: None,
@@ -325,8 +330,11 @@ fn finish(mut scene: ImportedScene, mut ignored: Ignored, limits: &ImportLimits)
         let m = &scene.materials[p.material];
         m.unlit || m.emissive.max_element() > 0.0
     };
-    scene.report.has_light = scene.nodes.iter().any(|n| n.light.is_some()) || instances.iter().any(|(p, _)| glows(p));
-    scene.report.has_camera = scene.nodes.iter().any(|n| n.camera.is_some());
+    let shown = scene.shown();
+    let any = |has: fn(&ImportedNode) -> bool| scene.nodes.iter().zip(&shown).any(|(n, shown)| *shown && has(n));
+    let has_light = any(|n| n.light.is_some()) || instances.iter().any(|(p, _)| glows(p));
+    let has_camera = any(|n| n.camera.is_some());
+    (scene.report.has_light, scene.report.has_camera) = (has_light, has_camera);
     scene.report.instances = instances.len();
     scene.report.triangles = scene.triangle_count();
     scene.report.ignored = ignored.list();

@@ -8,8 +8,8 @@ use super::{
     textures::{Textures, uv_set},
 };
 pub use crate::material::{MAX_SHININESS, roughness_from_shininess, shininess_from_roughness};
-use crate::material::{Material, POLISHED, Physical, PhysicalPlace};
-use glam::Vec3;
+use crate::material::{Material, POLISHED, Physical, PhysicalPlace, metal_of_reflectance};
+use glam::{Vec3, Vec4};
 use serde::Deserialize;
 use serde_json::{Map, Value};
 use std::collections::BTreeSet;
@@ -25,8 +25,8 @@ pub(super) fn f0(ior: f32) -> f32 {
 struct Specular {
     specular_factor: f32,
     specular_color_factor: [f32; 3],
-    specular_texture: Option<Value>,
-    specular_color_texture: Option<Value>,
+    specular_texture: Option<TextureInfo>,
+    specular_color_texture: Option<TextureInfo>,
 }
 
 impl Default for Specular {
@@ -47,7 +47,7 @@ struct SpecularGlossiness {
     diffuse_texture: Option<TextureInfo>,
     specular_factor: [f32; 3],
     glossiness_factor: f32,
-    specular_glossiness_texture: Option<Value>,
+    specular_glossiness_texture: Option<TextureInfo>,
 }
 
 impl Default for SpecularGlossiness {
@@ -168,51 +168,46 @@ pub(super) fn translate(
 
     // Reflection.
     let specular: Specular = extension(ext, "KHR_materials_specular", place)?.unwrap_or_default();
-    if specular.specular_texture.is_some() || specular.specular_color_texture.is_some() {
-        ignored.note("textures of KHR_materials_specular");
-    }
     let tint = Vec3::from(specular.specular_color_factor);
     if !tint.is_finite() || !specular.specular_factor.is_finite() {
         return Err(GltfError::invalid(place, "KHR_materials_specular is not finite"));
     }
+    let mut optional = |info: &Option<TextureInfo>| match info {
+        Some(info) => textures.color(info, place, ignored),
+        None => Ok(None),
+    };
+    let reflectance_texture = optional(&specular.specular_color_texture)?;
+    let reflectance_strength_texture = optional(&specular.specular_texture)?;
     let mut physical = Physical {
         metallic: factors[0],
         roughness: factors[1],
         metallic_roughness_texture,
-        reflectance: (tint * (f0(m.ior) * specular.specular_factor)).clamp(Vec3::ZERO, Vec3::ONE),
+        reflectance: (tint * f0(m.ior)).clamp(Vec3::ZERO, Vec3::ONE) * specular.specular_factor.clamp(0.0, 1.0),
+        reflectance_texture,
+        reflectance_strength_texture,
+        by_reflectance: false,
         transmission: transmission_factor,
         transmission_texture,
         blended: false,
     };
-    let look = physical.look(m.base_color, PhysicalPlace { metallic, roughness, transmission, coverage: 1.0 });
+    let mut reflectance = physical.reflectance;
+    if let Some(r) = reflectance_texture {
+        reflectance *= textures.mean_linear(r.texture).truncate();
+    }
+    if let Some(r) = reflectance_strength_texture {
+        reflectance *= textures.mean_linear(r.texture).w;
+    }
+    let at = PhysicalPlace { metallic, roughness, transmission, coverage: 1.0 };
+    let look = at.look(reflectance, m.base_color);
     (m.diffuse, m.specular, m.shininess) = (look.diffuse, look.specular, look.shininess);
     (m.mirror, m.transmission) = (look.mirror, look.transmission);
     let colored_metal = metallic > 0.0 && roughness > POLISHED && m.base_color_texture.is_some();
-    if metallic_roughness_texture.is_some() || transmission_texture.is_some() || colored_metal {
+    let colored_sheen = reflectance_texture.is_some() || reflectance_strength_texture.is_some();
+    if metallic_roughness_texture.is_some() || transmission_texture.is_some() || colored_metal || colored_sheen {
         m.physical = Some(physical);
     }
     if let Some(old) = extension::<SpecularGlossiness>(ext, "KHR_materials_pbrSpecularGlossiness", place)? {
-        let [red, green, blue, _] = old.diffuse_factor;
-        m.base_color = unit3("diffuseFactor", [red, green, blue])?;
-        m.base_color_texture = match &old.diffuse_texture {
-            Some(info) => textures.color(info, place, ignored)?,
-            None => None,
-        };
-        let roughness = 1.0 - unit("glossinessFactor", old.glossiness_factor)?;
-        physical = Physical {
-            metallic: 0.0,
-            roughness,
-            reflectance: unit3("specularFactor", old.specular_factor)?,
-            metallic_roughness_texture: None,
-            ..physical
-        };
-        let place = PhysicalPlace { metallic: 0.0, roughness, transmission: 0.0, coverage: 1.0 };
-        let look = physical.look(m.base_color, place);
-        (m.diffuse, m.specular, m.shininess) = (look.diffuse, look.specular, look.shininess);
-        (m.mirror, m.physical) = (0.0, None);
-        if old.specular_glossiness_texture.is_some() {
-            ignored.note("specularGlossinessTexture");
-        }
+        physical = by_reflectance(&mut m, &old, place, textures, ignored)?;
     }
     m.unlit = ext.as_ref().is_some_and(|e| e.contains_key("KHR_materials_unlit"));
 
@@ -221,7 +216,7 @@ pub(super) fn translate(
         m.normal_scale = n.scale.unwrap_or(1.0);
     }
     if def.occlusion_texture.is_some() {
-        ignored.note("occlusionTexture");
+        ignored.note("occlusionTexture (what reaches a place is computed)");
     }
     coverage(&mut m, def, &physical, place, textures, ignored)?;
     if let Some(own) = own_extras(&def.extras) {
@@ -231,6 +226,53 @@ pub(super) fn translate(
         Some((field, value)) => Err(GltfError::invalid(place, format!("{field} comes out as {value}"))),
         None => Ok(m),
     }
+}
+
+/// Takes over colour, reflectance and gloss in place of metal and roughness.
+fn by_reflectance(
+    m: &mut Material,
+    old: &SpecularGlossiness,
+    place: &str,
+    textures: &mut Textures,
+    ignored: &mut Ignored,
+) -> Result<Physical, GltfError> {
+    let unit = |what: &str, v: f32| match v.is_finite() {
+        true => Ok(v.clamp(0.0, 1.0)),
+        false => Err(GltfError::invalid(place, format!("{what} is not finite"))),
+    };
+    let unit3 = |what: &str, [r, g, b]: [f32; 3]| -> Result<Vec3, GltfError> {
+        Ok(Vec3::new(unit(what, r)?, unit(what, g)?, unit(what, b)?))
+    };
+    let mut optional = |info: &Option<TextureInfo>| match info {
+        Some(info) => textures.color(info, place, ignored),
+        None => Ok(None),
+    };
+    let [red, green, blue, _] = old.diffuse_factor;
+    let diffuse = unit3("diffuseFactor", [red, green, blue])?;
+    let gloss = unit("glossinessFactor", old.glossiness_factor)?;
+    m.base_color_texture = optional(&old.diffuse_texture)?;
+    let physical = Physical {
+        metallic: 0.0,
+        roughness: 1.0 - gloss,
+        reflectance: unit3("specularFactor", old.specular_factor)?,
+        reflectance_texture: optional(&old.specular_glossiness_texture)?,
+        by_reflectance: true,
+        ..Physical::default()
+    };
+    let texel = physical.reflectance_texture.map_or(Vec4::ONE, |r| textures.mean_linear(r.texture));
+    let reflectance = physical.reflectance * texel.truncate();
+    let (color, metallic) = metal_of_reflectance(diffuse, reflectance);
+    let at = PhysicalPlace { metallic, roughness: 1.0 - gloss * texel.w, transmission: 0.0, coverage: 1.0 };
+    let look = at.look(reflectance, color);
+    (m.diffuse, m.specular, m.shininess) = (look.diffuse, look.specular, look.shininess);
+    (m.mirror, m.transmission) = (look.mirror, look.transmission);
+    // Where nothing varies, the mean says it all.
+    let varies = physical.reflectance_texture.is_some() || (metallic > 0.0 && m.base_color_texture.is_some());
+    (m.base_color, m.physical) = if varies { (diffuse, Some(physical)) } else { (color, None) };
+    if varies {
+        return Ok(physical);
+    }
+    Ok(Physical { metallic, by_reflectance: false, ..physical })
 }
 
 /// What a material reads of the vertices: its texture coordinate sets in ascending order (two at most; the first two of the
@@ -244,6 +286,9 @@ pub(super) fn reads(def: &MaterialDef) -> Reads {
     };
     let glass = inner("KHR_materials_transmission", "transmissionTexture");
     let diffuse = inner("KHR_materials_pbrSpecularGlossiness", "diffuseTexture");
+    let gloss = inner("KHR_materials_pbrSpecularGlossiness", "specularGlossinessTexture");
+    let specular = inner("KHR_materials_specular", "specularTexture");
+    let specular_color = inner("KHR_materials_specular", "specularColorTexture");
     let all = [
         pbr.base_color_texture.as_ref(),
         pbr.metallic_roughness_texture.as_ref(),
@@ -251,6 +296,9 @@ pub(super) fn reads(def: &MaterialDef) -> Reads {
         normal.as_ref(),
         glass.as_ref(),
         diffuse.as_ref(),
+        gloss.as_ref(),
+        specular.as_ref(),
+        specular_color.as_ref(),
     ];
     let sets: BTreeSet<u32> = all.into_iter().flatten().map(uv_set).collect();
     let uv_sets = if sets.iter().all(|s| *s < 2) {

@@ -3,17 +3,18 @@
 //! **In**: [`load_gltf`] gives an [`ImportedScene`] (flat arrays), which [`ImportedScene::spawn`] turns into entities or
 //! [`ImportedScene::to_render_scene`] into a `RenderScene`. Read are nodes, meshes (lists, strips, fans; sparse,
 //! interleaved, normalised, quantised), morph targets and skins, all animations of nodes, weights and skins
-//! ([`ImportedScene::play`] chooses one), base-colour, metallic-roughness, emissive and transmission textures with their
-//! samplers, normal maps with or without `TANGENT`, alpha masks and blending, vertex colours, cameras, and the extensions
-//! `KHR_lights_punctual`, `KHR_materials_{transmission, ior, volume, specular, emissive_strength, unlit,
-//! pbrSpecularGlossiness}`, `KHR_mesh_quantization`, `KHR_texture_transform`, `EXT_mesh_gpu_instancing`. A material's textures
-//! may use any two coordinate sets of the mesh. Shading is two-sided whatever `doubleSided` says; thickness of volumes is
+//! ([`ImportedScene::play`] chooses one), base-colour, metallic-roughness, emissive, transmission and specular textures (PNG,
+//! JPEG, WebP) with their samplers, normal maps with or without `TANGENT`, alpha masks and blending, vertex colours, cameras,
+//! and the extensions `KHR_lights_punctual`, `KHR_materials_{transmission, ior, volume, specular, emissive_strength, unlit,
+//! pbrSpecularGlossiness}`, `KHR_mesh_quantization`, `KHR_node_visibility`, `KHR_texture_transform`,
+//! `EXT_mesh_gpu_instancing`, `EXT_texture_webp`; of `KHR_materials_variants` the default is shown. A material's textures may
+//! use any two coordinate sets of the mesh. Shading is two-sided whatever `doubleSided` says; thickness of volumes is
 //! ignored, the geometry is. All else is listed in [`ImportReport::ignored`], also an image that is missing or broken; an
 //! extension that a file requires and that is not supported is an error by name, unless it only changes the look of a
 //! surface (clearcoat, sheen and the like).
 //!
 //! # Materials
-//! With metallic m, roughness r, base colour c and F0 = ((ior − 1)/(ior + 1))² · specularFactor · specularColorFactor:
+//! With metallic m, roughness r, base colour c and F0 = min(((ior − 1)/(ior + 1))² · specularColorFactor, 1) · specularFactor:
 //!
 //! * r ≤ 0.01 counts as polished: mirror share m tinted by c, the rest (1 − m) Lambert, no highlight;
 //! * from there to r = 0.105 the mirror fades: its share is m p with p = (0.105 − r)/0.095, and k_s below is times 1 − p;
@@ -22,7 +23,7 @@
 //!   1 (glTF's default) looks nearly so, with albedo c;
 //! * transmission t makes smooth glass of the dielectric share (1 − m) t, whatever r is; closed meshes refract with or
 //!   without a volume;
-//! * textures of metalness, roughness, transmission and colour count place by place
+//! * textures of metalness, roughness, transmission, F0 and colour count place by place
 //!   ([`Material::physical`](crate::Material::physical)); the material's own fields stand for their mean;
 //! * `MASK` cuts holes per texel, for rays, moments and the raster alike, from the image itself at any distance;
 //! * `BLEND` is thin transmission, place by place: a share 1 − alpha of the light passes straight on, without refraction or
@@ -34,7 +35,11 @@
 //! * samplers: what the camera sees, directly or by mirror and glass, is read from the smaller copy of the image whose texels
 //!   have the pixel's area, on both lanes; without a `minFilter` copies are blended. VPLs, emission as a source of light and
 //!   the path tracer read the image itself;
-//! * `KHR_materials_pbrSpecularGlossiness`: c is the diffuse colour, r = 1 − glossiness, k_d = 1, k_s = specular (1 − r).
+//! * `KHR_materials_pbrSpecularGlossiness`: F0 is the specular colour, r = 1 − glossiness, and c and m come of the diffuse
+//!   colour and F0 ([`metal_of_reflectance`](crate::material::metal_of_reflectance)): what reflects more than 0.08 is metal to
+//!   that extent, so that a polished one is a mirror;
+//! * occlusion textures are left out: what of the light reaches a place is computed here, by shadow maps and by VPLs and their
+//!   visibility, and so it is by the path tracer that judges the picture. Baked darkness on top would count it twice.
 //!
 //! **Out**: [`export_glb`] writes the posed frame so that other renderers can draw it and [`load_gltf`] gets back the same
 //! instances, materials, lights and camera.

@@ -174,6 +174,24 @@ fn singular_values(m: DMat3) -> (DMat3, DVec3, DMat3) {
 }
 
 #[derive(Deserialize)]
+#[serde(default)]
+struct Visibility {
+    visible: bool,
+}
+
+impl Default for Visibility {
+    fn default() -> Self {
+        Self { visible: true }
+    }
+}
+
+/// True where the node hides itself and all below it (`KHR_node_visibility`).
+pub(super) fn hidden(node: &Node, place: &str) -> Result<bool, GltfError> {
+    let visibility: Option<Visibility> = extension(&node.extensions, "KHR_node_visibility", place)?;
+    Ok(visibility.is_some_and(|v| !v.visible))
+}
+
+#[derive(Deserialize)]
 struct Instancing {
     #[serde(default)]
     attributes: BTreeMap<String, u32>,

@@ -40,6 +40,8 @@ pub struct ImportedNode {
     pub transform: Transform,
     /// The same pose as a matrix; bit for bit the file's where the file gives a matrix without shear.
     pub local: Affine3,
+    /// It and what hangs on it are not shown (`KHR_node_visibility`).
+    pub hidden: bool,
     /// What it draws.
     pub primitives: Vec<ImportedPrimitive>,
     /// Light that shines along its -Z.
@@ -120,12 +122,21 @@ impl ImportedScene {
         out
     }
 
+    /// Of every node, whether neither it nor what it hangs on is hidden.
+    pub fn shown(&self) -> Vec<bool> {
+        let mut out: Vec<bool> = Vec::with_capacity(self.nodes.len());
+        for node in &self.nodes {
+            out.push(!node.hidden && node.parent.is_none_or(|p| out[p]));
+        }
+        out
+    }
+
     /// Everything that is drawn: (mesh and material, world pose), in node order. Poses of no volume (a scale of 0 hides
     /// things in many files) are left out, so that every pose can be inverted.
     pub fn instances(&self) -> Vec<(ImportedPrimitive, Affine3)> {
-        let poses = self.world_from_node();
-        let drawn = self.nodes.iter().zip(poses).filter(|(_, pose)| invertible(pose));
-        drawn.flat_map(|(node, pose)| node.primitives.iter().map(move |p| (*p, pose))).collect()
+        let (poses, shown) = (self.world_from_node(), self.shown());
+        let drawn = self.nodes.iter().zip(poses).zip(shown).filter(|((_, pose), shown)| *shown && invertible(pose));
+        drawn.flat_map(|((node, pose), _)| node.primitives.iter().map(move |p| (*p, pose))).collect()
     }
 
     /// Bounds of all instances, world space, metres; empty where nothing is drawn.
@@ -196,20 +207,23 @@ impl ImportedScene {
             id - 1
         };
         let mut has_camera = false;
-        for (node, pose) in self.nodes.iter().zip(self.world_from_node()) {
+        for ((node, pose), shown) in self.nodes.iter().zip(self.world_from_node()).zip(self.shown()) {
             for p in &node.primitives {
                 let stable_id = next();
-                if invertible(&pose) {
+                if shown && invertible(&pose) {
                     let (mesh, material) = (p.mesh as u32, p.material as u32);
                     out.instances.push(Instance { stable_id, mesh, material, world_from_object: pose });
                 }
             }
             if let Some(light) = &node.light {
-                out.lights.push(extract::posed_light(next(), light, &pose));
+                let light = extract::posed_light(next(), light, &pose);
+                if shown {
+                    out.lights.push(light);
+                }
             }
             if let Some(camera) = &node.camera {
                 next();
-                if !std::mem::replace(&mut has_camera, true) {
+                if shown && !std::mem::replace(&mut has_camera, true) {
                     out.camera = extract::posed_camera(camera, &pose);
                 }
             }
@@ -219,7 +233,8 @@ impl ImportedScene {
 
     /// The camera that makes the picture, posed: the first in node order.
     pub fn camera(&self) -> Option<Camera> {
-        let at = self.nodes.iter().position(|n| n.camera.is_some())?;
+        let shown = self.shown();
+        let at = (0..self.nodes.len()).find(|&i| shown[i] && self.nodes[i].camera.is_some())?;
         let pose = self.world_from_node()[at];
         self.nodes[at].camera.as_ref().map(|c| extract::posed_camera(c, &pose))
     }

@@ -26,8 +26,8 @@ pub struct Spawned {
 impl ImportedScene {
     /// Adds the assets to [`Assets`] and one entity a node, as children of a new root. A node's first mesh and its light or
     /// camera live on its own entity, further meshes on children of it. Stable ids count up in node order from
-    /// `first_stable_id`: meshes, then light, then camera of each node. Meshes whose pose has no volume are spawned
-    /// [`Hidden`]. An environment of the file becomes the world's. The
+    /// `first_stable_id`: meshes, then light, then camera of each node. Hidden nodes, and meshes whose pose has no volume,
+    /// are spawned [`Hidden`]. An environment of the file becomes the world's. The
     /// first animation plays from frame 0 on, over and over: [`Self::play`] chooses another or none;
     /// [`Self::to_render_scene`] shows the pose of the file instead.
     ///
@@ -58,12 +58,15 @@ impl ImportedScene {
         let root = world.spawn(Transform::IDENTITY).id();
         let mut nodes: Vec<Entity> = Vec::with_capacity(self.nodes.len());
         let mut camera = None;
-        for (node, pose) in self.nodes.iter().zip(self.world_from_node()) {
+        for ((node, pose), shown) in self.nodes.iter().zip(self.world_from_node()).zip(self.shown()) {
             let parent = node.parent.map_or(root, |p| nodes[p]);
             let entity = world.spawn((node.transform, ChildOf(parent))).id();
             nodes.push(entity);
             if let Some(name) = &node.name {
                 world.entity_mut(entity).insert(Name::new(name.clone()));
+            }
+            if node.hidden {
+                world.entity_mut(entity).insert(Hidden);
             }
             let mut used = false;
             for p in &node.primitives {
@@ -86,7 +89,9 @@ impl ImportedScene {
             if let Some(lens) = node.camera {
                 let target = place(world, entity, &mut used);
                 world.entity_mut(target).insert((lens, id()));
-                camera.get_or_insert(target);
+                if shown {
+                    camera.get_or_insert(target);
+                }
             }
         }
         self.spawn_deformations(world, &nodes, &drawn_by, first_mesh);

@@ -12,6 +12,7 @@ use crate::{
     math,
     texture::Texture,
 };
+use glam::{DVec4, Vec4};
 use image::{ImageFormat, ImageReader, RgbaImage};
 use serde::Deserialize;
 use std::{collections::BTreeMap, io::Cursor, sync::Arc};
@@ -50,6 +51,11 @@ impl Default for Transform {
     fn default() -> Self {
         Self { offset: [0.0; 2], rotation: 0.0, scale: [1.0; 2] }
     }
+}
+
+#[derive(Deserialize)]
+struct Webp {
+    source: Option<u32>,
 }
 
 impl<'a> Textures<'a> {
@@ -165,8 +171,24 @@ impl<'a> Textures<'a> {
         mean
     }
 
+    /// Mean of a texture's values, colour in linear light.
+    pub fn mean_linear(&self, texture: u32) -> Vec4 {
+        let t = &self.textures[texture as usize];
+        let mut sum = DVec4::ZERO;
+        for y in 0..t.height() {
+            for x in 0..t.width() {
+                sum += t.texel_linear(x, y).as_dvec4();
+            }
+        }
+        (sum / t.texels().len() as f64).as_vec4()
+    }
+
     fn image_of(&self, info: &TextureInfo, place: &str, ignored: &mut Ignored) -> Result<Option<u32>, GltfError> {
         let def = item(&self.document.textures, info.index, "texture", place)?;
+        let webp: Option<Webp> = extension(&def.extensions, "EXT_texture_webp", place)?;
+        if let Some(source) = webp.and_then(|w| w.source) {
+            return Ok(Some(source));
+        }
         if def.source.is_none() {
             let names: Vec<&str> = def.extensions.iter().flatten().map(|(k, _)| k.as_str()).collect();
             ignored.note(match names.as_slice() {
@@ -208,8 +230,8 @@ impl<'a> Textures<'a> {
             (None, None) => return Err(GltfError::invalid(place, "it has neither a uri nor a buffer view")),
         };
         let format = match image::guess_format(bytes) {
-            Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg)) => format,
-            _ => return Err(GltfError::invalid(place, "its bytes are neither PNG nor JPEG")),
+            Ok(format @ (ImageFormat::Png | ImageFormat::Jpeg | ImageFormat::WebP)) => format,
+            _ => return Err(GltfError::invalid(place, "its bytes are neither PNG, JPEG nor WebP")),
         };
         let bad = |e: image::ImageError| GltfError::invalid(place, e.to_string());
         let (width, height) = ImageReader::with_format(Cursor::new(bytes), format).into_dimensions().map_err(bad)?;

@@ -11,7 +11,7 @@ mod cutout;
 pub(crate) mod flat;
 mod instance;
 mod kdtree;
-mod node;
+pub(crate) mod node;
 mod ray;
 mod ray_space;
 mod simd;
@@ -95,6 +95,13 @@ pub struct AccelStats {
     pub blocks: u32,
     /// Nodes of the upper tree.
     pub tlas_nodes: u32,
+}
+
+/// A mesh's tree, to be read: see [`node`].
+pub(crate) struct MeshTree<'a> {
+    pub nodes: &'a [node::Node8],
+    pub blocks: &'a [node::Tri8],
+    pub root: u32,
 }
 
 /// Finds what rays meet in a scene.
@@ -190,6 +197,13 @@ impl Accel {
     /// True where rays can meet the instance: its transform is regular and its box finite.
     pub(crate) fn can_be_hit(&self, instance_id: u32) -> bool {
         self.world.can_be_hit(instance_id)
+    }
+
+    /// The tree of an instance's mesh, of boxes in object space; `None` where it is a kd-tree.
+    pub(crate) fn mesh_tree(&self, instance_id: u32) -> Option<MeshTree<'_>> {
+        let record = &self.world.records[self.world.follow.slot(instance_id) as usize];
+        let tree = &self.world.trees[record.blas as usize];
+        tree.kd.is_none().then_some(MeshTree { nodes: &tree.nodes, blocks: &tree.blocks, root: tree.root })
     }
 
     /// True where anything has holes.

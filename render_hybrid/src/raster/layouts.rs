@@ -3,7 +3,7 @@
 
 use bytemuck::{Pod, Zeroable};
 use catoptra_engine::{
-    Light, LightKind, Material, Mesh, Mip, Projection, RenderScene, Texture, TextureRef,
+    Light, LightKind, Material, Mesh, Mip, Physical, Projection, RenderScene, Texture, TextureRef,
     glam::{Affine3, Mat3, Vec3},
 };
 
@@ -17,9 +17,12 @@ pub(crate) const TEXTURE_MIP_NEAREST: u32 = 16;
 pub(crate) const TEXTURE_MIP_LINEAR: u32 = 32;
 pub(crate) const PHYSICAL: u32 = 1;
 pub(crate) const PHYSICAL_BLENDED: u32 = 2;
+pub(crate) const PHYSICAL_REFLECTANCE: u32 = 4;
+pub(crate) const PHYSICAL_BY_REFLECTANCE: u32 = 8;
 pub(crate) const NO_TEXTURE: u32 = u32::MAX;
 /// A material's textures, in the order of [`texture_slots`].
-pub(crate) const SLOTS: [&str; 5] = ["BASE_COLOR", "EMISSIVE", "NORMAL", "METALLIC_ROUGHNESS", "TRANSMISSION"];
+pub(crate) const SLOTS: [&str; 7] =
+    ["BASE_COLOR", "EMISSIVE", "NORMAL", "METALLIC_ROUGHNESS", "TRANSMISSION", "REFLECTANCE", "REFLECTANCE_STRENGTH"];
 pub(crate) const LIGHT_POINT: u32 = 0;
 pub(crate) const LIGHT_SPOT: u32 = 1;
 pub(crate) const LIGHT_DIRECTIONAL: u32 = 2;
@@ -224,6 +227,8 @@ pub(crate) struct MaterialData {
     pub texture_slots: u32,
     pub unused1: u32,
     pub unused2: u32,
+    pub reflectance_texture: TextureRefData,
+    pub reflectance_strength_texture: TextureRefData,
 }
 
 impl MaterialData {
@@ -255,11 +260,13 @@ impl MaterialData {
             metallic_roughness_texture: texture(&p.and_then(|p| p.metallic_roughness_texture)),
             transmission_texture: texture(&p.and_then(|p| p.transmission_texture)),
             reflectance: p.map_or(Vec3::ZERO, |p| p.reflectance),
-            physical: p.map_or(0, |p| if p.blended { PHYSICAL | PHYSICAL_BLENDED } else { PHYSICAL }),
+            physical: p.map_or(0, physical_flags),
             physical_transmission: p.map_or(0.0, |p| p.transmission),
             texture_slots: texture_slots(m),
             unused1: 0,
             unused2: 0,
+            reflectance_texture: texture(&p.and_then(|p| p.reflectance_texture)),
+            reflectance_strength_texture: texture(&p.and_then(|p| p.reflectance_strength_texture)),
         }
     }
 }
@@ -273,8 +280,19 @@ fn texture_slots(m: &Material) -> u32 {
         m.normal_texture.is_some(),
         p.is_some_and(|p| p.metallic_roughness_texture.is_some()),
         p.is_some_and(|p| p.transmission_texture.is_some()),
+        p.is_some_and(|p| p.reflectance_texture.is_some()),
+        p.is_some_and(|p| p.reflectance_strength_texture.is_some()),
     ];
     there.iter().enumerate().map(|(s, there)| u32::from(*there) << s).sum()
+}
+
+fn physical_flags(p: Physical) -> u32 {
+    let flag = |on: bool, bit: u32| if on { bit } else { 0 };
+    let varies = p.reflectance_texture.is_some() || p.reflectance_strength_texture.is_some();
+    PHYSICAL
+        | flag(p.blended, PHYSICAL_BLENDED)
+        | flag(varies, PHYSICAL_REFLECTANCE)
+        | flag(p.by_reflectance, PHYSICAL_BY_REFLECTANCE)
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
@@ -498,7 +516,9 @@ mod tests {
             physical_transmission,
             texture_slots,
             unused1,
-            unused2
+            unused2,
+            reflectance_texture,
+            reflectance_strength_texture
         );
         assert_layout!(
             "direct",

@@ -72,6 +72,8 @@ pub fn generated_constants() -> String {
     u("TEXTURE_MIP_LINEAR", layouts::TEXTURE_MIP_LINEAR);
     u("PHYSICAL", layouts::PHYSICAL);
     u("PHYSICAL_BLENDED", layouts::PHYSICAL_BLENDED);
+    u("PHYSICAL_REFLECTANCE", layouts::PHYSICAL_REFLECTANCE);
+    u("PHYSICAL_BY_REFLECTANCE", layouts::PHYSICAL_BY_REFLECTANCE);
     u("NO_TEXTURE", layouts::NO_TEXTURE);
     u("LIGHT_POINT", layouts::LIGHT_POINT);
     u("LIGHT_SPOT", layouts::LIGHT_SPOT);
@@ -102,6 +104,7 @@ pub fn generated_constants() -> String {
     f("MIN_POSITIVE", f32::MIN_POSITIVE);
     f("POLISHED", catoptra_engine::material::POLISHED);
     f("NOT_POLISHED", catoptra_engine::material::NOT_POLISHED);
+    f("DIELECTRIC_REFLECTANCE", catoptra_engine::material::DIELECTRIC_REFLECTANCE);
     f("MAX_SHININESS", catoptra_engine::material::MAX_SHININESS);
     // Stands for infinity, which shaders must not hold.
     f("FAR_AWAY", f32::MAX);

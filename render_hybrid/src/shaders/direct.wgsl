@@ -53,7 +53,8 @@ fn vertex(@builtin(vertex_index) vertex_index: u32) -> @builtin(position) vec4f 
 @fragment
 fn fragment(@builtin(position) position_pixel: vec4f) -> @location(0) vec4f {
     let pixel = vec2u(position_pixel.xy);
-    var radiance = textureLoad(emission, pixel, 0).xyz;
+    let own = textureLoad(emission, pixel, 0);
+    var radiance = own.xyz;
     let place = textureLoad(position, pixel, 0);
     if place.w < 0.5 {
         return vec4f(radiance, 1.0);
@@ -64,7 +65,7 @@ fn fragment(@builtin(position) position_pixel: vec4f) -> @location(0) vec4f {
     }
     let color = textureLoad(base_color, pixel, 0);
     let albedo = color.xyz;
-    let look = look_of(material, albedo, color.w);
+    let look = look_of(material, albedo, color.w, own.w);
     let matte = matte_weight(look);
     radiance += matte * material.ambient * albedo * frame.ambient;
     let diffuse = albedo * (matte * look.diffuse / PI);

@@ -22,7 +22,7 @@
 @group(1) @binding(2) var out_normals: texture_storage_2d<rgba32float, write>;
 // rgb: base colour, w: pack_place, over 0.5 where the tracer has work.
 @group(1) @binding(3) var out_base_color: texture_storage_2d<rgba32float, write>;
-// rgb: emitted radiance, or the background.
+// rgb: emitted radiance, or the background; w: pack_reflectance.
 @group(1) @binding(4) var out_emission: texture_storage_2d<rgba32float, write>;
 
 fn position_object(vertex: u32) -> vec3f {
@@ -59,8 +59,14 @@ fn material_texture(material: u32, slot: u32) -> TextureRef {
         case SLOT_METALLIC_ROUGHNESS: {
             return materials[material].metallic_roughness_texture;
         }
-        default: {
+        case SLOT_TRANSMISSION: {
             return materials[material].transmission_texture;
+        }
+        case SLOT_REFLECTANCE: {
+            return materials[material].reflectance_texture;
+        }
+        default: {
+            return materials[material].reflectance_strength_texture;
         }
     }
 }
@@ -155,6 +161,7 @@ fn resolve(@builtin(global_invocation_id) id: vec3u) {
     var base_color = material.base_color * texel.base_color.xyz * attribute3(vertices, ATTRIBUTE_COLOR, weights);
     var emission = material.emissive * texel.emissive;
     var place = PhysicalPlace(0.0, 0.0, 0.0, 1.0);
+    var reflectance = material.reflectance;
     var look = Look(vec3f(0.0), 0.0, 1.0, material.mirror, material.transmission);
     if (material.physical & PHYSICAL) != 0u {
         place.metallic = material.metallic * texel.metallic_roughness.z;
@@ -168,7 +175,18 @@ fn resolve(@builtin(global_invocation_id) id: vec3u) {
             );
             place.coverage = clamp(material.alpha * texel.base_color.w * dot(weights, alpha), 0.0, 1.0);
         }
-        look = physical_look(material.reflectance, base_color, place);
+        if (material.physical & PHYSICAL_REFLECTANCE) != 0u {
+            reflectance *= texel.reflectance.xyz * texel.reflectance_strength;
+            if (material.physical & PHYSICAL_BY_REFLECTANCE) != 0u {
+                place.roughness = 1.0 - (1.0 - place.roughness) * texel.reflectance.w;
+            }
+        }
+        if (material.physical & PHYSICAL_BY_REFLECTANCE) != 0u {
+            let metal_color = metal_of_reflectance(base_color, reflectance);
+            base_color = metal_color.xyz;
+            place.metallic = metal_color.w;
+        }
+        look = physical_look(reflectance, base_color, place);
         emission *= place.coverage;
         if material.unlit != 0u {
             base_color *= place.coverage;
@@ -181,5 +199,5 @@ fn resolve(@builtin(global_invocation_id) id: vec3u) {
     textureStore(out_position, id.xy, vec4f(point_world, f32(instance.material + 1u)));
     textureStore(out_normals, id.xy, vec4f(octahedral_encode(n_geometric), octahedral_encode(n_shading)));
     textureStore(out_base_color, id.xy, vec4f(base_color, pack_place(place, traced)));
-    textureStore(out_emission, id.xy, vec4f(emission, 0.0));
+    textureStore(out_emission, id.xy, vec4f(emission, pack_reflectance(reflectance)));
 }

@@ -40,7 +40,8 @@ fn fragment(@builtin(position) position_pixel: vec4f) -> @location(0) vec4f {
     }
     let material = materials[u32(place.w) - 1u];
     let color = textureLoad(base_color, pixel, 0);
-    let look = look_of(material, color.xyz, color.w);
+    // The highlight, which reflectance makes, is not asked for.
+    let look = look_of(material, color.xyz, color.w, 0.0);
     let weight = matte_weight(look) * look.diffuse / PI;
     if material.unlit != 0u || weight <= 0.0 {
         return vec4f(0.0, 0.0, 0.0, 1.0);

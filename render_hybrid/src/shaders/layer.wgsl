@@ -36,7 +36,7 @@ fn fragment(@builtin(position) position_pixel: vec4f) -> @location(0) vec4f {
         case LAYER_MASK: {
             let material = materials[u32(place.w) - 1u];
             let color = textureLoad(base_color, pixel, 0);
-            let look = look_of(material, color.xyz, color.w);
+            let look = look_of(material, color.xyz, color.w, 0.0);
             return vec4f(look.mirror, (1.0 - look.mirror) * look.transmission, 0.0, place.w);
         }
         case LAYER_DEPTH: {

@@ -14,9 +14,10 @@ use rayon::prelude::*;
 use super::{
     sampling,
     shade::FrameContext,
+    surface::surface_at,
     whitted::{self, MaskedPixel, WhittedScratch},
 };
-use crate::output::RayCounts;
+use crate::{accel::Ray, output::RayCounts};
 
 /// Pixels that one task traces. It never shows.
 const CHUNK: usize = 1024;
@@ -46,26 +47,30 @@ pub fn trace(ctx: &FrameContext, pixels: &[MaskedPixel], budget: u64, counts: &m
         .copied()
         .collect();
     let traced = trace_all(ctx, &chosen, budget, counts);
+    let normal = |p: &MaskedPixel| {
+        let ray = Ray::new(Vec3::ZERO, p.direction);
+        surface_at(ctx.scene, ctx.normals, &ray, &p.hit).n_shading
+    };
+    let chosen: Vec<(MaskedPixel, Vec3)> = chosen.into_iter().map(|p| (p, normal(&p))).collect();
     // Where on the grid of traced pixels each of them is.
     let columns = width.div_ceil(step);
     let mut grid = vec![u32::MAX; (columns * ctx.settings.height.div_ceil(step)) as usize];
-    for (i, p) in chosen.iter().enumerate() {
+    for (i, (p, _)) in chosen.iter().enumerate() {
         let (x, y) = place(p);
         grid[(y / step * columns + x / step) as usize] = i as u32;
     }
     pixels
         .par_iter()
         .map(|p| {
-            let (x, y) = place(p);
+            let ((x, y), n) = (place(p), normal(p));
             let (mut sum, mut weights) = (Vec3::ZERO, 0.0f32);
             for row in (y / step).saturating_sub(1)..=(y / step + 2) {
                 for column in (x / step).saturating_sub(1)..=(x / step + 2).min(columns - 1) {
                     let Some(&i) = grid.get((row * columns + column) as usize).filter(|&&i| i != u32::MAX) else {
                         continue;
                     };
-                    let other = &chosen[i as usize].surface;
-                    let alike = other.instance_id == p.surface.instance_id
-                        && other.n_shading.dot(p.surface.n_shading) >= LEAST_COSINE;
+                    let (other, n_other) = &chosen[i as usize];
+                    let alike = other.hit.instance_id == p.hit.instance_id && n_other.dot(n) >= LEAST_COSINE;
                     if alike {
                         let dx = (column * step) as f32 - x as f32;
                         let dy = (row * step) as f32 - y as f32;

@@ -5,7 +5,6 @@ use rayon::prelude::*;
 
 use super::{
     shade::{self, FrameContext},
-    surface::{PixelCone, surface_seen},
     whitted::MaskedPixel,
 };
 use crate::{
@@ -25,17 +24,12 @@ pub fn masked_pixels(ctx: &FrameContext, list: &[u32], counts: &mut RayCounts) -
         list.iter().map(|p| camera_ray(camera, (p % width) as f32, (p / width) as f32, width, height)).collect();
     let mut hits = vec![Hit::MISS; rays.len()];
     ctx.accel.closest_hits(&rays, &mut hits);
-    let cone = PixelCone::of(camera, height);
     counts.camera += rays.len() as u64;
     rays.iter()
         .zip(&hits)
         .zip(list)
         .filter(|((_, hit), _)| hit.is_hit())
-        .map(|((ray, hit), &pixel)| MaskedPixel {
-            pixel,
-            surface: surface_seen(ctx.scene, ctx.normals, ray, hit, cone.at(hit.t)),
-            direction: ray.direction,
-        })
+        .map(|((ray, hit), &pixel)| MaskedPixel { pixel, direction: ray.direction, hit: *hit })
         .collect()
 }
 
@@ -61,7 +55,7 @@ pub fn trace_light(ctx: &FrameContext, lights: bool, vpls: bool, counts: &mut Ra
     let (width, height, tile) = (ctx.settings.width, ctx.settings.height, ctx.settings.tile);
     let light_count = if lights { ctx.scene.lights.len() } else { 0 };
     let mut scan = CameraScan::default();
-    scan.build(ctx.scene, ctx.accel, [width, height]);
+    scan.build(ctx.level, ctx.scene, ctx.accel, [width, height]);
     let bands: Vec<(Vec<Vec<f32>>, Vec<[f32; 3]>, RayCounts)> = (0..height.div_ceil(tile))
         .into_par_iter()
         .map(|band| {

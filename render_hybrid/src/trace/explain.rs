@@ -9,18 +9,15 @@ use super::{
     camera_rays::camera_ray,
     direct,
     media::MediumStack,
+    optics::{mirrored, split},
     points::{Glossy, PointBatch},
     shade::{self, FrameContext, VplRays},
     surface::{Surface, surface_at},
-    whitted::{above_horizon, split},
 };
 use crate::{
     accel::Ray,
     output::RayCounts,
-    twin::{
-        gbuffer::point_of,
-        shading::{beer_lambert, reflect},
-    },
+    twin::{gbuffer::point_of, shading::beer_lambert},
 };
 
 /// Branches after which a tree is cut; [`RayTree::cut`] says so.
@@ -197,7 +194,7 @@ fn spawn(ctx: &FrameContext, way: &Way, surface: &Surface, at: usize, open: &mut
         push(RayKind::Refraction, t, optics.transmitted, optics.behind, way.depth + 1);
     }
     if optics.reflected != Vec3::ZERO {
-        let r = above_horizon(reflect(-d, surface.n_shading), surface.n_geometric);
+        let r = mirrored(d, surface.n_shading, surface.n_geometric);
         push(RayKind::Reflection, r, optics.reflected, way.inside, way.depth + 1);
     }
 }

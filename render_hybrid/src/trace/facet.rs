@@ -5,6 +5,8 @@ use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
 
 use super::{
+    optics::{Optics, Pane},
+    points::Lane,
     shade::FrameContext,
     surface::{Surface, outward, surface_seen},
 };
@@ -34,6 +36,7 @@ pub(crate) struct Facet {
     pub error: f32,
     pub material: u32,
     pub look: Look,
+    pub optics: Optics,
     pub unlit: bool,
     /// Places differ in more than what corners mix to.
     pub textured: bool,
@@ -57,6 +60,7 @@ impl Facet {
             error: 0.0,
             material: 0,
             look: Material::default().look(),
+            optics: Optics { mirror: 0.0, glass: 0.0, eta: 1.0, schlick: false, pane: Pane::Film },
             unlit: false,
             textured: false,
             glossy: false,
@@ -99,12 +103,25 @@ impl Facet {
             matte: if m.unlit { 0.0 } else { look.diffuse * look.matte_weight() * FRAC_1_PI },
             error: terms.max_element() * (32.0 * f32::EPSILON * 0.5),
             material: instance.material,
+            optics: Optics::new(scene, m, &look, instance_id),
             look,
             unlit: m.unlit,
             textured: m.textures().next().is_some() || m.physical.is_some(),
             glossy: look.specular != Vec3::ZERO && !m.unlit,
             traced: look.is_traced(),
         }
+    }
+
+    /// What sixteen lanes at a time make of it is not all: textures, or no area to tell a side by.
+    #[inline]
+    pub fn is_odd(&self) -> bool {
+        self.textured | (self.outward == [0.0; 3])
+    }
+
+    /// Nothing but matte light and what the place emits.
+    #[inline]
+    pub fn is_plain(&self) -> bool {
+        !(self.textured | self.glossy | self.traced | (self.outward == [0.0; 3]))
     }
 
     /// The surface at barycentric coordinates (u, v), without textures.
@@ -132,6 +149,119 @@ impl Facet {
             instance_id: self.instance_id,
             primitive_id: self.primitive_id,
         }
+    }
+}
+
+/// Where kernels get the values of the triangles from that sixteen places lie on.
+pub(crate) trait FacetSource {
+    fn corner(&self, corner: usize, axis: usize, lane: usize) -> f32;
+    fn normal(&self, corner: usize, axis: usize, lane: usize) -> f32;
+    fn color(&self, corner: usize, axis: usize, lane: usize) -> f32;
+    fn outward(&self, axis: usize, lane: usize) -> f32;
+    fn emission(&self, axis: usize, lane: usize) -> f32;
+    fn ambient(&self, axis: usize, lane: usize) -> f32;
+    fn matte(&self, lane: usize) -> f32;
+    fn error(&self, lane: usize) -> f32;
+}
+
+/// One for all.
+impl FacetSource for Facet {
+    #[inline(always)]
+    fn corner(&self, corner: usize, axis: usize, _: usize) -> f32 {
+        self.corners[corner][axis]
+    }
+    #[inline(always)]
+    fn normal(&self, corner: usize, axis: usize, _: usize) -> f32 {
+        self.normals[corner][axis]
+    }
+    #[inline(always)]
+    fn color(&self, corner: usize, axis: usize, _: usize) -> f32 {
+        self.colors[corner][axis]
+    }
+    #[inline(always)]
+    fn outward(&self, axis: usize, _: usize) -> f32 {
+        self.outward[axis]
+    }
+    #[inline(always)]
+    fn emission(&self, axis: usize, _: usize) -> f32 {
+        self.emission[axis]
+    }
+    #[inline(always)]
+    fn ambient(&self, axis: usize, _: usize) -> f32 {
+        self.ambient[axis]
+    }
+    #[inline(always)]
+    fn matte(&self, _: usize) -> f32 {
+        self.matte
+    }
+    #[inline(always)]
+    fn error(&self, _: usize) -> f32 {
+        self.error
+    }
+}
+
+/// One each.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct FacetLanes {
+    corners: [[Lane; 3]; 3],
+    normals: [[Lane; 3]; 3],
+    colors: [[Lane; 3]; 3],
+    outward: [Lane; 3],
+    emission: [Lane; 3],
+    ambient: [Lane; 3],
+    matte: Lane,
+    error: Lane,
+}
+
+impl FacetLanes {
+    pub fn put(&mut self, lane: usize, f: &Facet) {
+        for k in 0..3 {
+            for axis in 0..3 {
+                self.corners[k][axis][lane] = f.corners[k][axis];
+                self.normals[k][axis][lane] = f.normals[k][axis];
+                self.colors[k][axis][lane] = f.colors[k][axis];
+            }
+            self.outward[k][lane] = f.outward[k];
+            self.emission[k][lane] = f.emission[k];
+            self.ambient[k][lane] = f.ambient[k];
+        }
+        self.matte[lane] = f.matte;
+        self.error[lane] = f.error;
+    }
+}
+
+impl FacetSource for FacetLanes {
+    #[inline(always)]
+    fn corner(&self, corner: usize, axis: usize, lane: usize) -> f32 {
+        self.corners[corner][axis][lane]
+    }
+    #[inline(always)]
+    fn normal(&self, corner: usize, axis: usize, lane: usize) -> f32 {
+        self.normals[corner][axis][lane]
+    }
+    #[inline(always)]
+    fn color(&self, corner: usize, axis: usize, lane: usize) -> f32 {
+        self.colors[corner][axis][lane]
+    }
+    #[inline(always)]
+    fn outward(&self, axis: usize, lane: usize) -> f32 {
+        self.outward[axis][lane]
+    }
+    #[inline(always)]
+    fn emission(&self, axis: usize, lane: usize) -> f32 {
+        self.emission[axis][lane]
+    }
+    #[inline(always)]
+    fn ambient(&self, axis: usize, lane: usize) -> f32 {
+        self.ambient[axis][lane]
+    }
+    #[inline(always)]
+    fn matte(&self, lane: usize) -> f32 {
+        self.matte[lane]
+    }
+    #[inline(always)]
+    fn error(&self, lane: usize) -> f32 {
+        self.error[lane]
     }
 }
 

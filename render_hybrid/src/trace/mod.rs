@@ -7,6 +7,8 @@ pub mod emission;
 pub mod explain;
 pub(crate) mod facet;
 pub mod media;
+pub(crate) mod meet;
+pub mod optics;
 pub mod photons;
 pub mod points;
 pub mod reference;

@@ -2,6 +2,7 @@
 
 use glam::{Vec2, Vec3};
 
+use super::meet::SurfaceLanes;
 use crate::{
     accel::Ray,
     simd::dispatch,
@@ -139,6 +140,31 @@ impl PointBatch {
         }
         self.matte.push(s.matte);
         self.len += 1;
+    }
+
+    /// Adds the places of `mask`'s lanes, in their order.
+    pub(crate) fn push_lanes(&mut self, from: &SurfaceLanes, mask: u16) {
+        let first = self.len;
+        self.len += mask.count_ones() as usize;
+        let padded = self.len.next_multiple_of(LANES);
+        if padded > self.matte.len() {
+            self.planes().for_each(|p| p.resize(padded, 0.0));
+        }
+        let copy = |to: &mut [f32], from: &Lane| {
+            let (mut i, mut lanes) = (first, mask);
+            while lanes != 0 {
+                to[i] = from[lanes.trailing_zeros() as usize];
+                lanes &= lanes - 1;
+                i += 1;
+            }
+        };
+        for axis in 0..3 {
+            copy(&mut self.position[axis], &from.position[axis]);
+            copy(&mut self.normal[axis], &from.n_shading[axis]);
+            copy(&mut self.base_color[axis], &from.base_color[axis]);
+            copy(&mut self.radiance[axis], &from.own[axis]);
+        }
+        copy(&mut self.matte, &from.matte);
     }
 
     /// Writes point `i`.

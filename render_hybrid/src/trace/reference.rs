@@ -13,16 +13,16 @@ use std::f32::consts::PI;
 use super::{
     camera_rays::camera_ray,
     media::MediumStack,
+    optics::{mirrored, split},
     sampling,
     shade::{reflected_from_light, shadow_ray},
     surface::{NormalMatrices, Surface, surface_at},
-    whitted::split,
 };
 use crate::{
     accel::Accel,
     output::Image,
     settings::{GlassShadows, RenderSettings},
-    twin::shading::{beer_lambert, reflect},
+    twin::shading::beer_lambert,
 };
 
 /// What to integrate.
@@ -268,7 +268,7 @@ impl Path<'_> {
             let optics = optics.expect("a weight over zero came from it");
             if choice < matte_weight + reflected_weight || transmitted_weight <= 0.0 {
                 throughput *= optics.reflected / reflected_weight;
-                let r = super::whitted::above_horizon(reflect(-ray.direction, s.n_shading), s.n_geometric);
+                let r = mirrored(ray.direction, s.n_shading, s.n_geometric);
                 ray = s.leaving_ray(r);
             } else {
                 throughput *= optics.transmitted / transmitted_weight;

@@ -50,6 +50,12 @@ pub struct FrameContext<'a> {
     pub serial: u64,
 }
 
+/// True where rays start from every pixel's surface.
+pub fn wants_surfaces(ctx: &FrameContext) -> bool {
+    let traced_vpls = ctx.settings.vpl.is_some_and(|v| v.shadows == VplShadows::Traced);
+    traced_vpls || matches!(ctx.settings.shadows, Shadows::Traced | Shadows::Certified)
+}
+
 /// Fraction of light `light` that reaches the surface, in [0, 1].
 /// * `pixel`: number of the picture's pixel; turns the pattern on the light's disc
 pub fn light_visibility(ctx: &FrameContext, light: u32, s: &Surface, pixel: u32, rays: &mut RayCounts) -> f32 {

@@ -1,8 +1,11 @@
 //! From a hit to everything that shading needs to know of the place.
 
-use catoptra_engine::{Camera, Look, PhysicalPlace, Projection, RenderScene, TextureRef, math};
+use catoptra_engine::{
+    Camera, Look, PhysicalPlace, Projection, RenderScene, TextureRef, material::metal_of_reflectance, math,
+};
 use glam::{Mat3, Vec2, Vec3};
 
+use super::optics::leave;
 use crate::accel::{Hit, Ray};
 
 /// A shaded place, world space. Both normals are unit and on the viewer's side (shading is two-sided).
@@ -61,19 +64,10 @@ impl Surface {
     }
 
     /// The ray from here along unit `direction` that does not meet the surface itself again.
-    ///
-    /// It starts at the place itself and skips the stretch within the surface's error, so that its line and the lengths along
-    /// it stay exact: on a pane of 100 m that error is 0.1 mm, which a shifted start would carry through every refraction. Only
-    /// at grazing angles, where the stretch would be long, is the start lifted off the surface instead.
     #[inline]
     pub fn leaving_ray(&self, direction: Vec3) -> Ray {
-        const GRAZING_COSINE: f32 = 0.125;
-        let cos = self.n_geometric.dot(direction).abs();
-        if cos >= GRAZING_COSINE {
-            Ray { origin: self.position_world, direction, t_min: self.error / cos, t_max: f32::INFINITY }
-        } else {
-            Ray::new(self.offset_origin(direction), direction)
-        }
+        let (origin, t_min) = leave(self.position_world, self.n_geometric, self.error, direction);
+        Ray { origin, direction, t_min, t_max: f32::INFINITY }
     }
 }
 
@@ -313,7 +307,21 @@ pub fn surface_seen(scene: &RenderScene, normals: &NormalMatrices, ray: &Ray, hi
             if let Some(r) = &p.transmission_texture {
                 at.transmission *= sample(r).x;
             }
-            let look = p.look(base_color, at);
+            let mut reflectance = p.reflectance;
+            if let Some(r) = &p.reflectance_texture {
+                let texel = sample(r);
+                reflectance *= texel.truncate();
+                if p.by_reflectance {
+                    at.roughness = 1.0 - (1.0 - at.roughness) * texel.w;
+                }
+            }
+            if let Some(r) = &p.reflectance_strength_texture {
+                reflectance *= sample(r).w;
+            }
+            if p.by_reflectance {
+                (base_color, at.metallic) = metal_of_reflectance(base_color, reflectance);
+            }
+            let look = at.look(reflectance, base_color);
             emission *= coverage;
             if material.unlit {
                 base_color *= coverage;

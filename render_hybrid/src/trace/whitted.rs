@@ -5,24 +5,21 @@
 //! surfaces, indirect light from the same VPLs.
 //! Source: Whitted, "An Improved Illumination Model for Shaded Display", CACM 1980.
 
-use catoptra_engine::Material;
 use glam::Vec3;
 
 use super::{
     direct,
     facet::Facets,
-    media::{self, MediumStack},
-    points::{Glossy, PointBatch, make_room},
+    media::Media,
+    meet::Meeting,
+    optics::{LeavingLanes, part},
+    points::{Glossy, LANES, PointBatch, make_room},
     shade::{self, FrameContext, VplRays},
     surface::{PixelCone, Surface},
 };
 use crate::{
     accel::{Hit, Ray},
     output::RayCounts,
-    twin::{
-        gbuffer,
-        shading::{beer_lambert_of_ln, fresnel_dielectric, ln_color, reflect, refract, schlick},
-    },
 };
 
 /// A ray on its way, and what it will be worth.
@@ -30,16 +27,23 @@ use crate::{
 struct Branch {
     ray: Ray,
     weight: Vec3,
-    inside: MediumStack,
+    path: Path,
+    refraction: bool,
+}
+
+/// What a ray and those that it spawns have in common.
+#[derive(Clone, Copy, Debug, Default)]
+struct Path {
     /// Slot of the pixel in the tile's list.
     slot: u32,
-    /// Interfaces behind it.
-    depth: u32,
-    /// Surfaces behind it, hidden interfaces included: bounds the walk through coincident glass.
-    crossed: u32,
-    refraction: bool,
+    /// Number of the stack of media that the ray is in.
+    stack: u32,
     /// Metres from the camera to the ray's start, along the path.
     way: f32,
+    /// Interfaces behind it.
+    depth: u16,
+    /// Surfaces behind it, hidden interfaces included: bounds the walk through coincident glass.
+    crossed: u16,
 }
 
 /// A pixel whose surface reflects or refracts.
@@ -47,10 +51,10 @@ struct Branch {
 pub struct MaskedPixel {
     /// Number of the picture's pixel.
     pub pixel: u32,
-    /// What the camera sees there.
-    pub surface: Surface,
     /// Unit direction of the camera ray.
     pub direction: Vec3,
+    /// What it met; `t` in metres.
+    pub hit: Hit,
 }
 
 /// Memory of the tracer, kept between tiles.
@@ -61,15 +65,18 @@ pub struct WhittedScratch {
     /// Rays of the wave, alike ones together, and their hits.
     rays: Vec<Ray>,
     hits: Vec<Hit>,
-    /// Where among them each branch's are.
-    place_of: Vec<u32>,
+    /// Whose they are.
+    branch_of: Vec<u32>,
     /// Slot and weight of each point.
     shaded: Vec<(u32, Vec3)>,
     surfaces: Vec<Surface>,
     points: PointBatch,
     vpl_rays: VplRays,
-    absorption: Absorption,
     facets: Facets,
+    media: Media,
+    meeting: Meeting,
+    reflected: LeavingLanes,
+    transmitted: LeavingLanes,
 }
 
 impl WhittedScratch {
@@ -85,7 +92,7 @@ impl WhittedScratch {
         make_room(&mut self.next, wave);
         make_room(&mut self.rays, wave);
         make_room(&mut self.hits, wave);
-        make_room(&mut self.place_of, wave);
+        make_room(&mut self.branch_of, wave);
         make_room(&mut self.shaded, points);
         make_room(&mut self.surfaces, points);
         self.points.reserve([points, glossy]);
@@ -100,28 +107,12 @@ impl WhittedScratch {
 
     /// Pixel (its number in the list) and weight in the greatest channel of each ray of the wave.
     pub(super) fn weights(&self) -> impl Iterator<Item = (usize, f32)> {
-        self.wave.iter().map(|b| (b.slot as usize, b.weight.max_element()))
+        self.wave.iter().map(|b| (b.path.slot as usize, b.weight.max_element()))
     }
 
     /// Ends the rays of the wave that `keep` refuses by pixel and weight.
     pub(super) fn keep(&mut self, keep: impl Fn(usize, f32) -> bool) {
-        self.wave.retain(|b| keep(b.slot as usize, b.weight.max_element()));
-    }
-}
-
-/// Beer-Lambert with the logarithms of the glass that was met last.
-#[derive(Clone, Debug, Default)]
-struct Absorption {
-    color: Vec3,
-    ln: Vec3,
-}
-
-impl Absorption {
-    fn transmittance(&mut self, m: &Material, distance: f32) -> Vec3 {
-        if self.color != m.attenuation_color {
-            (self.color, self.ln) = (m.attenuation_color, ln_color(m.attenuation_color));
-        }
-        beer_lambert_of_ln(self.ln, m.attenuation_distance, distance)
+        self.wave.retain(|b| keep(b.path.slot as usize, b.weight.max_element()));
     }
 }
 
@@ -144,21 +135,26 @@ pub(super) fn begin(ctx: &FrameContext, pixels: &[MaskedPixel], s: &mut WhittedS
     radiance.clear();
     radiance.resize(pixels.len(), Vec3::ZERO);
     s.facets.begin(ctx);
+    s.media.begin(ctx.scene, ctx.serial);
     let eye = ctx.scene.camera.world_from_view.translation;
-    s.wave.clear();
-    for (slot, p) in pixels.iter().enumerate() {
-        let arriving = Branch {
-            ray: Ray::new(p.surface.position_world, p.direction),
-            weight: Vec3::ONE,
-            inside: MediumStack::default(),
-            slot: slot as u32,
-            depth: 0,
-            crossed: 0,
-            refraction: false,
-            way: (p.surface.position_world - eye).length(),
-        };
-        spawn(ctx, &arriving, &p.surface, &mut s.wave);
+    let cone = PixelCone::of(&ctx.scene.camera, ctx.settings.height);
+    s.next.clear();
+    for (chunk, pixels) in pixels.chunks(LANES).enumerate() {
+        let mut hits = [Hit::MISS; LANES];
+        let mut paths = [Path::default(); LANES];
+        for (lane, p) in pixels.iter().enumerate() {
+            hits[lane] = p.hit;
+            paths[lane].slot = (chunk * LANES + lane) as u32;
+            s.meeting.put(lane, p.direction, Vec3::ONE, &p.hit, Media::AIR, &s.media);
+        }
+        let hits = &hits[..pixels.len()];
+        s.meeting.meet(ctx, &mut s.facets, &mut s.media, hits, |lane| cone.at(pixels[lane].hit.t), |_, _| ());
+        for (lane, path) in paths.iter_mut().enumerate().take(pixels.len()) {
+            path.way = (s.meeting.surface.position(lane) - eye).length();
+        }
+        spawn(ctx, s, &paths);
     }
+    std::mem::swap(&mut s.wave, &mut s.next);
 }
 
 /// Traces and shades the rays of the wave; those that they spawn are the next one.
@@ -170,44 +166,66 @@ pub(super) fn trace_wave(
     counts: &mut RayCounts,
 ) {
     let cone = PixelCone::of(&ctx.scene.camera, ctx.settings.height);
+    let surfaces = shade::wants_surfaces(ctx);
     trace_sorted(ctx, s);
     s.next.clear();
     s.shaded.clear();
     s.surfaces.clear();
     s.points.clear();
-    for (branch, &place) in s.wave.iter().zip(&s.place_of) {
-        let hit = &s.hits[place as usize];
-        if branch.refraction {
-            counts.refraction += 1
-        } else {
-            counts.reflection += 1
-        }
-        let mut branch = *branch;
-        if let Some(medium) = branch.inside.current(ctx.scene) {
-            let m = &ctx.scene.materials[ctx.scene.instances[medium as usize].material as usize];
-            branch.weight *= s.absorption.transmittance(m, hit.t);
-        }
-        if !hit.is_hit() {
-            radiance[branch.slot as usize] += branch.weight * ctx.scene.environment.background;
-            continue;
-        }
-        branch.way += hit.t;
-        let surface = s.facets.surface(ctx, &branch.ray, hit, cone.at(branch.way));
-        let point = gbuffer::point_of(ctx, &surface);
-        let m = &ctx.scene.materials[surface.material as usize];
-        let look = &surface.look;
-        let glossy = look.specular != Vec3::ZERO && !m.unlit;
-        // Pure mirror and glass show no light of their own.
-        if glossy || point.matte * point.base_color != Vec3::ZERO || point.own != Vec3::ZERO {
-            if glossy {
-                let (point, wo) = (s.shaded.len() as u32, -branch.ray.direction);
-                s.points.glossy.push(Glossy { point, specular: look.specular, shininess: look.shininess, wo });
+    for first in (0..s.wave.len()).step_by(LANES) {
+        let count = LANES.min(s.wave.len() - first);
+        let mut paths = [Path::default(); LANES];
+        let mut met = 0u16;
+        for lane in 0..count {
+            let branch = &s.wave[s.branch_of[first + lane] as usize];
+            let hit = &s.hits[first + lane];
+            paths[lane] = branch.path;
+            paths[lane].way += hit.t;
+            if branch.refraction {
+                counts.refraction += 1
+            } else {
+                counts.reflection += 1
             }
-            s.points.push(&point);
-            s.shaded.push((branch.slot, branch.weight));
-            s.surfaces.push(surface);
+            met |= u16::from(hit.is_hit()) << lane;
+            s.meeting.put(lane, branch.ray.direction, branch.weight, hit, branch.path.stack, &s.media);
         }
-        spawn(ctx, &branch, &surface, &mut s.next);
+        let (hits, before, points) = (&s.hits[first..first + count], s.points.glossy.len(), &mut s.points);
+        s.meeting.meet(
+            ctx,
+            &mut s.facets,
+            &mut s.media,
+            hits,
+            |lane| cone.at(paths[lane].way),
+            |lane, glossy| {
+                points.glossy.push(Glossy { point: lane as u32, ..glossy });
+            },
+        );
+        // What shows light of its own; pure mirror and glass do not.
+        let mut shown = 0u16;
+        for lane in 0..count {
+            shown |= u16::from(s.meeting.surface.shows[lane] != 0) << lane;
+        }
+        for glossy in &s.points.glossy[before..] {
+            shown |= 1 << glossy.point;
+        }
+        shown &= met;
+        for glossy in &mut s.points.glossy[before..] {
+            let earlier = shown & ((1 << glossy.point) - 1);
+            glossy.point = s.shaded.len() as u32 + earlier.count_ones();
+        }
+        s.points.push_lanes(&s.meeting.surface, shown);
+        for lane in 0..count {
+            if shown >> lane & 1 != 0 {
+                s.shaded.push((paths[lane].slot, s.meeting.weight(lane)));
+                if surfaces {
+                    let branch = &s.wave[s.branch_of[first + lane] as usize];
+                    s.surfaces.push(s.facets.surface(ctx, &branch.ray, &hits[lane], cone.at(paths[lane].way)));
+                }
+            } else if met >> lane & 1 == 0 {
+                radiance[paths[lane].slot as usize] += s.meeting.weight(lane) * ctx.scene.environment.background;
+            }
+        }
+        spawn(ctx, s, &paths);
     }
     shade_wave(ctx, pixels, s, radiance, counts);
     std::mem::swap(&mut s.wave, &mut s.next);
@@ -225,23 +243,23 @@ fn kind(b: &Branch) -> usize {
     24 * usize::from(b.refraction) + 8 * axis + signs
 }
 
-/// Traces the wave's rays in an order in which neighbours are alike (a counting sort). A ray's hit does not depend on it.
+/// Traces the wave's rays in an order in which neighbours are alike (a counting sort, which keeps the order of rays of a
+/// kind: a pixel's rays are always in the same order, whatever other pixels the tile has).
 fn trace_sorted(ctx: &FrameContext, s: &mut WhittedScratch) {
     let mut first = [0u32; KINDS + 1];
-    s.place_of.clear();
+    s.branch_of.clear();
+    s.branch_of.resize(s.wave.len(), 0);
     for b in &s.wave {
-        let kind = kind(b);
-        s.place_of.push(kind as u32);
-        first[kind + 1] += 1;
+        first[kind(b) + 1] += 1;
     }
     for k in 0..KINDS {
         first[k + 1] += first[k];
     }
     s.rays.resize(s.wave.len(), Ray::new(Vec3::ZERO, Vec3::ZERO));
     s.hits.resize(s.wave.len(), Hit::MISS);
-    for (b, place) in s.wave.iter().zip(&mut s.place_of) {
-        let next = &mut first[*place as usize];
-        *place = *next;
+    for (i, b) in s.wave.iter().enumerate() {
+        let next = &mut first[kind(b)];
+        s.branch_of[*next as usize] = i as u32;
         s.rays[*next as usize] = b.ray;
         *next += 1;
     }
@@ -266,116 +284,38 @@ fn shade_wave(
     }
 }
 
-/// Continues `arriving`, which met `surface`, by a reflected and a refracted ray where the material says so.
-fn spawn(ctx: &FrameContext, arriving: &Branch, surface: &Surface, out: &mut Vec<Branch>) {
-    let m = &ctx.scene.materials[surface.material as usize];
-    if !surface.look.is_traced() || arriving.depth >= ctx.settings.max_depth {
+/// Continues the rays of the meeting by reflected and refracted rays where materials say so.
+fn spawn(ctx: &FrameContext, s: &mut WhittedScratch, paths: &[Path; LANES]) {
+    let (m, settings) = (&s.meeting, ctx.settings);
+    let mut open = m.traced;
+    if open == 0 {
         return;
     }
-    let d = arriving.ray.direction;
-    let optics = interface(ctx, arriving, surface, m);
-    let child = Branch { depth: arriving.depth + 1, crossed: arriving.crossed + 1, ..*arriving };
-    let mut push = |branch: Branch| {
-        if branch.weight.max_element() >= ctx.settings.min_weight {
-            out.push(branch);
+    part(ctx.level, &m.optics, &m.surface, &mut s.reflected, &mut s.transmitted);
+    while open != 0 {
+        let lane = open.trailing_zeros() as usize;
+        open &= open - 1;
+        let path = paths[lane];
+        if u32::from(path.depth) >= settings.max_depth {
+            continue;
         }
-    };
-    if optics.hidden {
-        if arriving.crossed < 4 * ctx.settings.max_depth {
-            let ray = surface.leaving_ray(d);
-            push(Branch { ray, inside: optics.behind, depth: arriving.depth, refraction: true, ..child });
+        let stack = m.stack[lane];
+        if m.hidden >> lane & 1 != 0 {
+            let (ray, weight) = (m.straight_on(lane), m.weight(lane));
+            if u32::from(path.crossed) < 4 * settings.max_depth && weight.max_element() >= settings.min_weight {
+                let path = Path { crossed: path.crossed + 1, stack, ..path };
+                s.next.push(Branch { ray, weight, path, refraction: true });
+            }
+            continue;
         }
-        return;
+        let path = Path { depth: path.depth + 1, crossed: path.crossed + 1, ..path };
+        for (leaving, refraction) in [(&s.reflected, false), (&s.transmitted, true)] {
+            let most = leaving.most[lane];
+            if most > 0.0 && most >= settings.min_weight {
+                let path = if refraction { Path { stack, ..path } } else { path };
+                let (ray, weight) = leaving.ray(lane);
+                s.next.push(Branch { ray, weight, path, refraction });
+            }
+        }
     }
-    if optics.reflected != Vec3::ZERO {
-        let r = above_horizon(reflect(-d, surface.n_shading), surface.n_geometric);
-        let ray = surface.leaving_ray(r);
-        push(Branch { ray, weight: arriving.weight * optics.reflected, refraction: false, ..child });
-    }
-    if let Some(t) = optics.transmitted_direction {
-        let ray = surface.leaving_ray(t);
-        let weight = arriving.weight * optics.transmitted;
-        push(Branch { ray, weight, inside: optics.behind, refraction: true, ..child });
-    }
-}
-
-/// How an interface splits light.
-#[derive(Clone, Copy, Debug)]
-pub struct Interface {
-    /// Weight of the mirrored ray.
-    pub reflected: Vec3,
-    /// Weight of the transmitted ray.
-    pub transmitted: Vec3,
-    /// Its direction; `None` at total internal reflection or without glass.
-    pub transmitted_direction: Option<Vec3>,
-    /// Media behind the surface.
-    pub behind: MediumStack,
-    /// A surface inside a volume of higher priority: nothing happens there.
-    pub hidden: bool,
-}
-
-fn interface(ctx: &FrameContext, arriving: &Branch, s: &Surface, m: &Material) -> Interface {
-    split(ctx.scene, m, s, arriving.ray.direction, arriving.inside)
-}
-
-/// Splits light that travels along unit `d` inside `inside` at a surface: mirror share, Fresnel-weighted glass share.
-///
-/// Shared by the Whitted tracer and the reference path tracer.
-pub fn split(
-    scene: &catoptra_engine::RenderScene,
-    m: &Material,
-    s: &Surface,
-    d: Vec3,
-    inside: MediumStack,
-) -> Interface {
-    let cos_i = s.n_shading.dot(-d).clamp(0.0, 1.0);
-    let tint = if m.schlick { schlick(s.base_color, cos_i) } else { s.base_color };
-    let mut out = Interface {
-        reflected: tint * s.look.mirror,
-        transmitted: Vec3::ZERO,
-        transmitted_direction: None,
-        behind: inside,
-        hidden: false,
-    };
-    let glass = (1.0 - s.look.mirror) * s.look.transmission;
-    if glass <= 0.0 {
-        return out;
-    }
-    if m.thin {
-        out.transmitted = Vec3::splat(glass);
-        out.transmitted_direction = Some(d);
-        return out;
-    }
-    let mesh = &scene.meshes[scene.instances[s.instance_id as usize].mesh as usize];
-    if !mesh.closed() {
-        // A thin pane: both faces at once, with the light that bounces between them, 2F/(1+F); no bend.
-        let f = fresnel_dielectric(cos_i, 1.0 / m.ior);
-        let r = 2.0 * f / (1.0 + f);
-        out.reflected += Vec3::splat(glass * r);
-        out.transmitted = s.base_color * (glass * (1.0 - r));
-        out.transmitted_direction = Some(d);
-        return out;
-    }
-    let c = media::crossing(scene, inside, s.instance_id, s.front);
-    out.behind = c.behind;
-    if c.from == c.to {
-        out.hidden = true;
-        return out;
-    }
-    let eta = media::ior_of(scene, c.from) / media::ior_of(scene, c.to);
-    let f = fresnel_dielectric(cos_i, eta);
-    out.reflected += Vec3::splat(glass * f);
-    if f < 1.0 {
-        out.transmitted = s.base_color * (glass * (1.0 - f));
-        out.transmitted_direction = refract(d, s.n_shading, eta).map(|t| -above_horizon(-t, s.n_geometric));
-    }
-    out
-}
-
-/// Keeps a direction that interpolated normals sent below the true surface just above it.
-#[inline]
-pub(crate) fn above_horizon(r: Vec3, n_geometric: Vec3) -> Vec3 {
-    const LEAST_COSINE: f32 = 1e-3;
-    let cos = r.dot(n_geometric);
-    if cos >= LEAST_COSINE { r } else { (r + n_geometric * (LEAST_COSINE - cos)).normalize_or(n_geometric) }
 }

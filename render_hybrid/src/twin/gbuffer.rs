@@ -3,7 +3,7 @@
 //!
 //! Twin: `shaders/gbuffer.wgsl`.
 
-use catoptra_engine::{Camera, Projection};
+use catoptra_engine::{Camera, Projection, RenderScene};
 use glam::Vec3;
 use std::f32::consts::FRAC_1_PI;
 
@@ -12,10 +12,11 @@ use super::{
     tile::TileRect,
 };
 use crate::{
-    accel::{Hit, Ray},
+    accel::{Accel, Hit, Ray},
+    settings::SimdLevel,
     simd::dispatch,
     trace::{
-        facet::{Facet, Facets},
+        facet::{Facet, FacetLanes, FacetSource, Facets},
         points::{Glossy, LANES, Lane, PointBatch, PointSurface, make_room, store},
         shade::FrameContext,
         surface::{PixelCone, Surface, surface_seen},
@@ -46,14 +47,14 @@ pub struct GBuffer {
     pub surfaces: Vec<Surface>,
     facets: Facets,
     candidates: Vec<u32>,
-    mixed: Mixed,
+    mixed: FacetLanes,
 }
 
 impl CameraScan {
     /// Sets up all triangles for the camera; reuses the memory.
-    pub fn build(&mut self, scene: &catoptra_engine::RenderScene, accel: &crate::accel::Accel, size: [u32; 2]) {
+    pub fn build(&mut self, level: SimdLevel, scene: &RenderScene, accel: &Accel, size: [u32; 2]) {
         self.view = ScanView::of_camera(&scene.camera, size[0], size[1]);
-        self.list.build(&self.view, scene, accel);
+        self.list.build(level, &self.view, scene, accel);
     }
 }
 
@@ -117,24 +118,28 @@ impl GBuffer {
             }
             let triangle = list.triangle(first);
             let facet = self.facets.of(ctx, triangle.instance_id, triangle.primitive_id);
-            let inputs = Uniform { facet, weights: triangle.in_block(x, y) };
-            uniform_run(ctx.level, &mut self.points, at, &inputs, eye, [x, y]);
+            uniform_run(ctx.level, &mut self.points, at, facet, &triangle.in_block(x, y), eye, [x, y]);
             if facet.textured | facet.glossy | facet.traced {
                 special = u16::MAX;
             }
         } else {
             let nothing = Facet::nothing();
+            let mut weights: MixedWeights = [[[0.0; LANES]; 3]; 3];
             for (lane, &number) in numbers.iter().enumerate() {
                 if number == TileBuffers::NONE {
-                    self.mixed.put(lane, &nothing, &[[0.0; 3], [0.0; 3], [0.0, 0.0, 1.0], [0.0; 3]]);
+                    self.mixed.put(lane, &nothing);
+                    weights[2][2][lane] = 1.0;
                     continue;
                 }
                 let triangle = list.triangle(number);
                 let facet = self.facets.of(ctx, triangle.instance_id, triangle.primitive_id);
-                self.mixed.put(lane, facet, &triangle.in_block(x, y));
+                self.mixed.put(lane, facet);
+                for (of, w) in weights.iter_mut().zip(triangle.in_block(x, y)) {
+                    of.iter_mut().zip(w).for_each(|(lanes, w)| lanes[lane] = w);
+                }
                 special |= u16::from(facet.textured | facet.glossy | facet.traced) << lane;
             }
-            mixed_run(ctx.level, &mut self.points, at, &self.mixed, eye, [x, y]);
+            mixed_run(ctx.level, &mut self.points, at, &self.mixed, &weights, eye, [x, y]);
             for (lane, &number) in numbers.iter().enumerate() {
                 if number == TileBuffers::NONE {
                     let own = ctx.scene.environment.background;
@@ -216,15 +221,20 @@ impl GBuffer {
         ScanView::distance(scan.view.perspective, self.visible.nearness[run][lane])
     }
 
-    /// Everything about the surface at pixel `i`, and the unit direction of its camera ray.
-    pub fn surface(&mut self, ctx: &FrameContext, scan: &CameraScan, eye: &Eye, i: usize) -> Option<(Surface, Vec3)> {
+    /// Unit direction of the camera ray of pixel `i` and what it meets, `t` along the viewing direction; `None` where it shows
+    /// nothing.
+    pub fn hit(&self, scan: &CameraScan, eye: &Eye, i: usize) -> Option<(Vec3, Hit)> {
         let number = self.visible.triangle[i / LANES][i % LANES];
         if number == TileBuffers::NONE {
             return None;
         }
         let (x, y) = self.place(i);
-        let direction = eye.direction(x, y);
-        let hit = hit_at(scan.list.triangle(number), x, y, self.depth(scan, i));
+        Some((eye.direction(x, y), hit_at(scan.list.triangle(number), x, y, self.depth(scan, i))))
+    }
+
+    /// Everything about the surface at pixel `i`, and the unit direction of its camera ray.
+    pub fn surface(&mut self, ctx: &FrameContext, scan: &CameraScan, eye: &Eye, i: usize) -> Option<(Surface, Vec3)> {
+        let (direction, hit) = self.hit(scan, eye, i)?;
         Some((self.facets.surface(ctx, &Ray::new(Vec3::ZERO, direction), &hit, eye.cone.at(hit.t)), direction))
     }
 
@@ -326,127 +336,16 @@ impl Eye {
     }
 }
 
-/// Where a run's pixels get their triangle's values from.
-trait Inputs {
-    fn weight(&self, function: usize, term: usize, lane: usize) -> f32;
-    fn corner(&self, corner: usize, axis: usize, lane: usize) -> f32;
-    fn normal(&self, corner: usize, axis: usize, lane: usize) -> f32;
-    fn color(&self, corner: usize, axis: usize, lane: usize) -> f32;
-    fn outward(&self, axis: usize, lane: usize) -> f32;
-    fn emission(&self, axis: usize, lane: usize) -> f32;
-    fn ambient(&self, axis: usize, lane: usize) -> f32;
-    fn matte(&self, lane: usize) -> f32;
-}
-
-/// One triangle for all.
-struct Uniform<'a> {
-    facet: &'a Facet,
-    weights: [[f32; 3]; 4],
-}
-
-impl Inputs for Uniform<'_> {
-    #[inline(always)]
-    fn weight(&self, function: usize, term: usize, _: usize) -> f32 {
-        self.weights[function][term]
-    }
-    #[inline(always)]
-    fn corner(&self, corner: usize, axis: usize, _: usize) -> f32 {
-        self.facet.corners[corner][axis]
-    }
-    #[inline(always)]
-    fn normal(&self, corner: usize, axis: usize, _: usize) -> f32 {
-        self.facet.normals[corner][axis]
-    }
-    #[inline(always)]
-    fn color(&self, corner: usize, axis: usize, _: usize) -> f32 {
-        self.facet.colors[corner][axis]
-    }
-    #[inline(always)]
-    fn outward(&self, axis: usize, _: usize) -> f32 {
-        self.facet.outward[axis]
-    }
-    #[inline(always)]
-    fn emission(&self, axis: usize, _: usize) -> f32 {
-        self.facet.emission[axis]
-    }
-    #[inline(always)]
-    fn ambient(&self, axis: usize, _: usize) -> f32 {
-        self.facet.ambient[axis]
-    }
-    #[inline(always)]
-    fn matte(&self, _: usize) -> f32 {
-        self.facet.matte
-    }
-}
-
-/// A triangle each.
-#[derive(Clone, Debug, Default)]
-struct Mixed {
-    weights: [[Lane; 3]; 3],
-    corners: [[Lane; 3]; 3],
-    normals: [[Lane; 3]; 3],
-    colors: [[Lane; 3]; 3],
-    outward: [Lane; 3],
-    emission: [Lane; 3],
-    ambient: [Lane; 3],
-    matte: Lane,
-}
-
-impl Mixed {
-    fn put(&mut self, lane: usize, f: &Facet, weights: &[[f32; 3]; 4]) {
-        for k in 0..3 {
-            for axis in 0..3 {
-                self.weights[k][axis][lane] = weights[k][axis];
-                self.corners[k][axis][lane] = f.corners[k][axis];
-                self.normals[k][axis][lane] = f.normals[k][axis];
-                self.colors[k][axis][lane] = f.colors[k][axis];
-            }
-            self.outward[k][lane] = f.outward[k];
-            self.emission[k][lane] = f.emission[k];
-            self.ambient[k][lane] = f.ambient[k];
-        }
-        self.matte[lane] = f.matte;
-    }
-}
-
-impl Inputs for Mixed {
-    #[inline(always)]
-    fn weight(&self, function: usize, term: usize, lane: usize) -> f32 {
-        self.weights[function][term][lane]
-    }
-    #[inline(always)]
-    fn corner(&self, corner: usize, axis: usize, lane: usize) -> f32 {
-        self.corners[corner][axis][lane]
-    }
-    #[inline(always)]
-    fn normal(&self, corner: usize, axis: usize, lane: usize) -> f32 {
-        self.normals[corner][axis][lane]
-    }
-    #[inline(always)]
-    fn color(&self, corner: usize, axis: usize, lane: usize) -> f32 {
-        self.colors[corner][axis][lane]
-    }
-    #[inline(always)]
-    fn outward(&self, axis: usize, lane: usize) -> f32 {
-        self.outward[axis][lane]
-    }
-    #[inline(always)]
-    fn emission(&self, axis: usize, lane: usize) -> f32 {
-        self.emission[axis][lane]
-    }
-    #[inline(always)]
-    fn ambient(&self, axis: usize, lane: usize) -> f32 {
-        self.ambient[axis][lane]
-    }
-    #[inline(always)]
-    fn matte(&self, lane: usize) -> f32 {
-        self.matte[lane]
-    }
-}
-
 /// The surfaces of a run whose first pixel is (x, y), as [`surface_seen`] has them.
 #[inline(always)]
-fn run_body(points: &mut PointBatch, at: usize, f: &impl Inputs, eye: &Eye, [x, y]: [u32; 2]) {
+fn run_body(
+    points: &mut PointBatch,
+    at: usize,
+    f: &impl FacetSource,
+    weight: impl Fn(usize, usize, usize) -> f32,
+    eye: &Eye,
+    [x, y]: [u32; 2],
+) {
     let dy = (y % LANES as u32) as f32;
     let (column, row) = (x as f32, y as f32);
     let mut position = [[0.0f32; LANES]; 3];
@@ -456,8 +355,8 @@ fn run_body(points: &mut PointBatch, at: usize, f: &impl Inputs, eye: &Eye, [x, 
     let mut matte = [0.0f32; LANES];
     for lane in 0..LANES {
         let dx = lane as f32;
-        let weight = |i: usize| (f.weight(i, 0, lane) * dx + f.weight(i, 1, lane) * dy) + f.weight(i, 2, lane);
-        let (a, b, c) = (weight(0), weight(1), weight(2));
+        let at = |i: usize| (weight(i, 0, lane) * dx + weight(i, 1, lane) * dy) + weight(i, 2, lane);
+        let (a, b, c) = (at(0), at(1), at(2));
         let r = 1.0 / ((a + b) + c);
         let (u, v) = (b * r, c * r);
         let w = (1.0 - u) - v;
@@ -496,15 +395,38 @@ fn run_body(points: &mut PointBatch, at: usize, f: &impl Inputs, eye: &Eye, [x, 
     points.matte[at..at + LANES].copy_from_slice(&matte);
 }
 
+/// Corner weights of a run's pixels: functions of the place within a block, `[function][term]`.
+type Weights = [[f32; 3]; 4];
+/// A triangle each.
+type MixedWeights = [[Lane; 3]; 3];
+
 #[inline(always)]
-fn uniform_body(points: &mut PointBatch, at: usize, f: &Uniform<'_>, eye: &Eye, place: [u32; 2]) {
-    run_body(points, at, f, eye, place);
+fn uniform_body(points: &mut PointBatch, at: usize, f: &Facet, weights: &Weights, eye: &Eye, place: [u32; 2]) {
+    run_body(points, at, f, |function, term, _| weights[function][term], eye, place);
 }
 
 #[inline(always)]
-fn mixed_body(points: &mut PointBatch, at: usize, f: &Mixed, eye: &Eye, place: [u32; 2]) {
-    run_body(points, at, f, eye, place);
+fn mixed_body(points: &mut PointBatch, at: usize, f: &FacetLanes, weights: &MixedWeights, eye: &Eye, place: [u32; 2]) {
+    run_body(points, at, f, |function, term, lane| weights[function][term][lane], eye, place);
 }
 
-dispatch! { fn uniform_run => uniform_body(points: &mut PointBatch, at: usize, f: &Uniform<'_>, eye: &Eye, place: [u32; 2]) }
-dispatch! { fn mixed_run => mixed_body(points: &mut PointBatch, at: usize, f: &Mixed, eye: &Eye, place: [u32; 2]) }
+dispatch! {
+    fn uniform_run => uniform_body(
+        points: &mut PointBatch,
+        at: usize,
+        f: &Facet,
+        weights: &Weights,
+        eye: &Eye,
+        place: [u32; 2],
+    )
+}
+dispatch! {
+    fn mixed_run => mixed_body(
+        points: &mut PointBatch,
+        at: usize,
+        f: &FacetLanes,
+        weights: &MixedWeights,
+        eye: &Eye,
+        place: [u32; 2],
+    )
+}

@@ -85,7 +85,7 @@ pub fn render_moments(
             continue;
         }
         texels += (size * size) as u64;
-        scratch.list.set_up(&scan, scene);
+        scratch.list.set_up(level, &scan, scene, accel);
         let pass = Pass { scan, list: &scratch.list, accel, level, far: view.far, size };
         // Certified shadows want depth itself.
         let filter = if certified { None } else { Some(settings.moments.filter) };

@@ -30,7 +30,7 @@ pub fn blinn_phong_lobe(n: Vec3, wi: Vec3, wo: Vec3, shininess: f32) -> f32 {
 }
 
 /// Mirror direction of `wo` about `n`: 2(N·V)N − V.
-#[inline]
+#[inline(always)]
 pub fn reflect(wo: Vec3, n: Vec3) -> Vec3 {
     n * (2.0 * n.dot(wo)) - wo
 }
@@ -39,13 +39,20 @@ pub fn reflect(wo: Vec3, n: Vec3) -> Vec3 {
 /// `eta` = n_from / n_to. `None` at total internal reflection.
 #[inline]
 pub fn refract(d: Vec3, n: Vec3, eta: f32) -> Option<Vec3> {
+    let (t, passes) = refract_or_total(d, n, eta);
+    passes.then_some(t)
+}
+
+/// As [`refract`] without a branch: the direction, and false at total internal reflection.
+#[inline(always)]
+pub(crate) fn refract_or_total(d: Vec3, n: Vec3, eta: f32) -> (Vec3, bool) {
     let cos_i = -n.dot(d);
-    let sin2_t = eta * eta * (1.0 - cos_i * cos_i).max(0.0);
-    if sin2_t >= 1.0 {
-        return None;
-    }
-    let t = d * eta + n * (eta * cos_i - (1.0 - sin2_t).sqrt());
-    Some(t / t.length())
+    let sin2_i = 1.0 - cos_i * cos_i;
+    let sin2_t = eta * eta * if sin2_i > 0.0 { sin2_i } else { 0.0 };
+    let passes = sin2_t < 1.0;
+    let cos_t = (if passes { 1.0 - sin2_t } else { 0.0 }).sqrt();
+    let t = d * eta + n * (eta * cos_i - cos_t);
+    (t / t.dot(t).sqrt(), passes)
 }
 
 /// Exact unpolarised Fresnel reflectance of a dielectric, in [0, 1]; 1 at total internal reflection.
@@ -54,25 +61,26 @@ pub fn refract(d: Vec3, n: Vec3, eta: f32) -> Option<Vec3> {
 /// Computed in double precision: near the critical angle f32 loses the sine's complement.
 ///
 /// Twin: `shaders/shared/shading.wgsl` (f32, tests/twins.rs).
-#[inline]
+#[inline(always)]
 pub fn fresnel_dielectric(cos_i: f32, eta: f32) -> f32 {
-    let (c1, eta) = (f64::from(cos_i.clamp(0.0, 1.0)), f64::from(eta));
+    let cos_i = if cos_i > 0.0 { cos_i } else { 0.0 };
+    let (c1, eta) = (f64::from(if cos_i < 1.0 { cos_i } else { 1.0 }), f64::from(eta));
     let sin2_t = eta * eta * (1.0 - c1 * c1);
-    if sin2_t >= 1.0 {
-        return 1.0;
-    }
-    let c2 = (1.0 - sin2_t).sqrt();
+    let total = sin2_t >= 1.0;
+    let c2 = (if total { 0.0 } else { 1.0 - sin2_t }).sqrt();
     let rs = (eta * c1 - c2) / (eta * c1 + c2);
     let rp = (eta * c2 - c1) / (eta * c2 + c1);
-    (0.5 * (rs * rs + rp * rp)) as f32
+    if total { 1.0 } else { (0.5 * (rs * rs + rp * rp)) as f32 }
 }
 
 /// Schlick's raise of a mirror's tint at grazing angles: F0 + (1 − F0)(1 − cos)^5.
 ///
 /// Source: Schlick, "An Inexpensive BRDF Model", Eurographics 1994.
-#[inline]
+#[inline(always)]
 pub fn schlick(f0: Vec3, cos_i: f32) -> Vec3 {
-    let x = (1.0 - cos_i).clamp(0.0, 1.0);
+    let x = 1.0 - cos_i;
+    let x = if x > 0.0 { x } else { 0.0 };
+    let x = if x < 1.0 { x } else { 1.0 };
     let x2 = x * x;
     f0 + (Vec3::ONE - f0) * (x2 * x2 * x)
 }

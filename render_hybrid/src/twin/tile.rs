@@ -10,7 +10,7 @@ use super::{
 };
 use crate::{
     output::RayCounts,
-    settings::{Shadows, SimdLevel, VplShadows},
+    settings::SimdLevel,
     simd::dispatch,
     trace::{
         direct,
@@ -90,7 +90,7 @@ pub fn render_tile(ctx: &FrameContext, scan: &CameraScan, rect: TileRect, s: &mu
         start = now;
     };
     let band = std::mem::take(&mut s.band);
-    s.gbuffer.fill(ctx, scan, &band, rect, wants_surfaces(ctx));
+    s.gbuffer.fill(ctx, scan, &band, rect, shade::wants_surfaces(ctx));
     s.band = band;
     stats.rays.camera += u64::from(rect.width) * u64::from(rect.height);
     lap(0, &mut stats);
@@ -106,16 +106,10 @@ pub fn render_tile(ctx: &FrameContext, scan: &CameraScan, rect: TileRect, s: &mu
     stats
 }
 
-/// True where rays start from every pixel's surface.
-fn wants_surfaces(ctx: &FrameContext) -> bool {
-    let traced_vpls = ctx.settings.vpl.is_some_and(|v| v.shadows == VplShadows::Traced);
-    traced_vpls || matches!(ctx.settings.shadows, Shadows::Traced | Shadows::Certified)
-}
-
 fn fill_direct(ctx: &FrameContext, s: &mut TileScratch, rays: &mut RayCounts) {
     let g = &mut s.gbuffer;
     // Runs may reach beyond the tile; what they have too much must cast no rays.
-    if wants_surfaces(ctx) {
+    if shade::wants_surfaces(ctx) {
         g.blacken_outside();
     }
     let (x, y, runs, width) = (g.visible.x, g.visible.y, g.visible.runs, ctx.settings.width);
@@ -182,10 +176,9 @@ fn fill_traced(ctx: &FrameContext, scan: &CameraScan, s: &mut TileScratch, stats
     let width = ctx.settings.width;
     let eye = Eye::of(&ctx.scene.camera, width, ctx.settings.height);
     for &i in &s.masked_of {
-        let seen = s.gbuffer.surface(ctx, scan, &eye, i as usize);
-        let (surface, direction) = seen.expect("a traced pixel shows a surface");
+        let (direction, hit) = s.gbuffer.hit(scan, &eye, i as usize).expect("a traced pixel shows a surface");
         let (x, y) = s.gbuffer.place(i as usize);
-        s.masked.push(MaskedPixel { pixel: y * width + x, surface, direction });
+        s.masked.push(MaskedPixel { pixel: y * width + x, direction, hit });
     }
     if ctx.settings.ray_budget.is_some() {
         return; // The whole picture's are traced together.

@@ -1,6 +1,6 @@
 //! The four worlds with a board: hall of mirrors, glass box, statue, atrium.
 
-use super::{Board, hall, looks};
+use super::{Board, hall, looks, marks};
 use crate::game::{
     Kind,
     boxes::BoxLevel,
@@ -21,6 +21,8 @@ use glam::{Quat, Vec3};
 const CELL: f32 = 0.5;
 /// Side of a field in the atrium: half of its bay, so that every other row ends under an arch.
 const ATRIUM_CELL: f32 = 1.3;
+/// How far the viewer of a hall leans after the box, and how far he turns to it.
+const LEAN: [Vec3; 2] = [Vec3::new(0.16, 0.0, 0.06), Vec3::new(0.22, 0.0, 0.10)];
 /// Warm white of the lights.
 const WARM: Vec3 = Vec3::new(1.0, 0.92, 0.80);
 
@@ -82,12 +84,12 @@ fn rolling_box(level: &BoxLevel) -> (Stage, Board) {
         hall::framed(&mut stage, place, Vec3::X * -side, [d + 0.2, 0.62], silver);
     }
     let half = CELL * 0.5;
-    let mesh = stage.mesh(shapes::cuboid(Vec3::splat(half), hall::SIX));
+    let mesh = stage.mesh(marks::six_box(half));
     let matte = stage.material(Material::lambert(Vec3::ONE));
     player(&mut stage, mesh, matte, body(level, &board, half));
     hall::roaming_spot(&mut stage, Vec3::new(0.0, 0.0, 0.1), 2.6, [0.8, 0.6], WARM * 26.0);
     fill(&mut stage, Vec3::new(0.0, 2.5, eye.z - 0.2), target, WARM * 9.0);
-    hall::viewer(&mut stage, eye, target, 46.0);
+    hall::viewer(&mut stage, eye, target, 46.0, Vec3::ZERO, LEAN);
     (with(stage, looks), board)
 }
 
@@ -104,12 +106,14 @@ fn donut(level: &BoxLevel) -> (Stage, Board) {
     hall::tiles(&mut stage, &board, level, &looks);
     // Behind the viewer, and beside him where the walls are out of sight.
     let lamps = [
-        hall::pane(&mut stage, Vec3::new(0.0, 1.6, max.z - 0.05), Vec3::NEG_Z, [w + 0.9, 1.5], looks.out),
-        hall::pane(&mut stage, Vec3::new(min.x + 0.05, 1.6, max.z - 1.0), Vec3::X, [0.9, 1.5], looks.out),
-        hall::pane(&mut stage, Vec3::new(max.x - 0.05, 1.6, max.z - 1.0), Vec3::NEG_X, [0.9, 1.5], looks.out),
+        (Vec3::new(0.0, 1.6, max.z - 0.05), Vec3::NEG_Z, [w + 0.9, 1.5]),
+        (Vec3::new(min.x + 0.05, 1.6, max.z - 1.0), Vec3::X, [0.9, 1.5]),
+        (Vec3::new(max.x - 0.05, 1.6, max.z - 1.0), Vec3::NEG_X, [0.9, 1.5]),
     ];
-    for lamp in lamps {
-        stage.world().entity_mut(lamp).insert(Look::Wanted);
+    for (center, normal, half) in lamps {
+        let by_hue = std::array::from_fn(|hue| stage.mesh(marks::pane_of(hue, center, normal, half)));
+        let lamp = stage.fixed(by_hue[0], looks.out, Transform::IDENTITY);
+        stage.world().entity_mut(lamp).insert(Look::Wanted(by_hue));
     }
     let half = CELL * 0.5;
     let mesh = stage.mesh(shapes::cuboid(Vec3::splat(half), [Vec3::ONE; 6]));
@@ -130,7 +134,7 @@ fn donut(level: &BoxLevel) -> (Stage, Board) {
     ));
     hall::roaming_spot(&mut stage, Vec3::new(0.0, 0.0, 0.1), 3.0, [0.7, 0.5], WARM * 26.0);
     fill(&mut stage, Vec3::new(0.0, 2.9, eye.z - 0.6), target, WARM * 8.0);
-    hall::viewer(&mut stage, eye, target, 46.0);
+    hall::viewer(&mut stage, eye, target, 46.0, Vec3::ZERO, LEAN);
     (with(stage, looks), board)
 }
 
@@ -165,7 +169,7 @@ fn venus(level: &BoxLevel) -> (Stage, Board) {
     let [w, d] = level.size.map(|n| f32::from(n) * CELL * 0.5);
     let (eye, _) = seat(level);
     let eye = eye + Vec3::new(0.0, 0.12, 0.65);
-    let target = Vec3::new(0.0, 0.66, -d);
+    let target = Vec3::new(0.0, 0.50, -d);
     let (min, max) = (Vec3::new(-w - 1.2, -0.05, -d - 2.2), Vec3::new(w + 1.2, 3.7, eye.z + 3.0));
     let dark = Vec3::new(0.20, 0.20, 0.23);
     let walls = [dark, dark, Vec3::splat(0.15), dark, Vec3::new(0.30, 0.28, 0.32), Vec3::splat(0.03)];
@@ -176,7 +180,9 @@ fn venus(level: &BoxLevel) -> (Stage, Board) {
     for i in 0..level.order.len() {
         let y = 0.35 + pitch * (i as f32 + 0.5);
         let place = Vec3::new(0.0, y, max.z - 0.05);
-        let lamp = hall::pane(&mut stage, place, Vec3::NEG_Z, [2.2, pitch * 0.42], looks.out);
+        let hue = level.order[i] as usize;
+        let mesh = stage.mesh(marks::pane_of(hue, place, Vec3::NEG_Z, [2.2, pitch * 0.42]));
+        let lamp = stage.fixed(mesh, looks.out, Transform::IDENTITY);
         stage.world().entity_mut(lamp).insert(Look::Lamp(i));
     }
     // Her mirror leans against the plinth, tilted up to the lamps: a plane shows the code that the folds scatter.
@@ -197,12 +203,12 @@ fn venus(level: &BoxLevel) -> (Stage, Board) {
     let plinth = stage.mesh(meshes.plinth);
     stage.fixed(plinth, marble, place);
     let half = CELL * 0.5;
-    let mesh = stage.mesh(shapes::cuboid(Vec3::splat(half), hall::SIX));
+    let mesh = stage.mesh(marks::six_box(half));
     let matte = stage.material(Material::lambert(Vec3::ONE));
     player(&mut stage, mesh, matte, body(level, &board, half));
     hall::roaming_spot(&mut stage, Vec3::new(0.0, 0.0, 0.0), 3.3, [0.6, 0.4], WARM * 34.0);
     fill(&mut stage, Vec3::new(0.0, 3.2, eye.z - 0.6), target, WARM * 9.0);
-    hall::viewer(&mut stage, eye, target, 46.0);
+    hall::viewer(&mut stage, eye, target, 50.0, Vec3::ZERO, LEAN);
     (with(stage, looks), board)
 }
 
@@ -225,11 +231,13 @@ fn sponza(level: &BoxLevel) -> (Stage, Board) {
     for gate in 1..=3u8 {
         let z = (2.0 - f32::from(gate)) * 2.0 * ATRIUM_CELL;
         // The gate's glow, and its carpet, which a low side of the box shows first.
-        let pane = hall::pane(&mut stage, Vec3::new(8.9, 1.3, z), Vec3::NEG_X, [1.2, 1.3], looks.out);
+        let (center, half) = (Vec3::new(8.9, 1.3, z), [1.2, 1.3]);
+        let open = stage.mesh(marks::pane(center, Vec3::NEG_X, half));
+        let shut = stage.mesh(marks::crossed_pane(center, Vec3::NEG_X, half));
+        let pane = stage.fixed(open, looks.out, Transform::IDENTITY);
+        stage.world().entity_mut(pane).insert(Look::Gate(gate, Some([open, shut])));
         let carpet = hall::block(&mut stage, Vec3::new(8.0, 0.0, z), Vec3::new(0.9, 0.02, 1.1), looks.out);
-        for part in [pane, carpet] {
-            stage.world().entity_mut(part).insert(Look::Gate(gate));
-        }
+        stage.world().entity_mut(carpet).insert(Look::Gate(gate, None));
     }
     let half = ATRIUM_CELL * 0.5;
     let mirror = stage.material(Material::mirror(Vec3::new(0.86, 0.91, 0.95), 0.95));
@@ -249,7 +257,8 @@ fn sponza(level: &BoxLevel) -> (Stage, Board) {
     let sun = sway(Vec3::new(2.0, 17.0, 4.6), Vec3::new(1.6, 0.4, 0.4), [23.0, 17.0, 29.0], [0.0, 0.0, 0.8]);
     let aim = sway(Vec3::new(0.0, 0.0, -0.4), Vec3::new(0.6, 0.0, 0.3), [21.0, 17.0, 23.0], [0.3, 0.0, 0.0]);
     stage.spot(looking(sun, aim), WARM * (4.6 * 17.0 * 17.0), 0.14, 22.0, 32.0);
-    hall::viewer(&mut stage, Vec3::new(6.9, 1.85, 0.0), Vec3::new(0.0, 0.62, 0.0), 50.0);
+    let shares = [Vec3::new(0.0, 0.0, 0.12), Vec3::new(0.0, 0.0, 0.30)];
+    hall::viewer(&mut stage, Vec3::new(6.9, 1.85, 0.0), Vec3::new(0.0, 0.62, 0.0), 50.0, Vec3::ZERO, shares);
     (with(stage, looks), board)
 }
 

@@ -1,8 +1,9 @@
 //! Parts that several worlds are made of.
 
-use super::{Board, TILE_HALF};
+use super::{Board, TILE_HALF, marks};
 use crate::game::{
     boxes::{BoxLevel, Tile},
+    follow::Lean,
     systems::{Look, Looks},
 };
 use crate::scenes::stage::{CAMERA_ID, Stage, looking, sway};
@@ -38,14 +39,9 @@ pub fn block(stage: &mut Stage, center: Vec3, half: Vec3, material: MaterialId) 
     stage.fixed(mesh, material, Transform::from_translation(center))
 }
 
-/// An upright rectangle of 2 `half` metres whose front looks along `normal`.
+/// Spawns an upright rectangle of 2 `half` metres whose front looks along `normal`.
 pub fn pane(stage: &mut Stage, center: Vec3, normal: Vec3, half: [f32; 2], material: MaterialId) -> Entity {
-    let along = Vec3::Y.cross(normal) * half[0];
-    let up = Vec3::Y * half[1];
-    let mesh: Mesh = shapes::ShapeBuilder::default()
-        .quad([center - along - up, center + along - up, center + along + up, center - along + up], Vec3::ONE)
-        .build();
-    let mesh = stage.mesh(mesh);
+    let mesh = stage.mesh(marks::pane(center, normal, half));
     stage.fixed(mesh, material, Transform::IDENTITY)
 }
 
@@ -58,14 +54,16 @@ pub fn framed(stage: &mut Stage, center: Vec3, normal: Vec3, half: [f32; 2], mat
     pane(stage, center, normal, half, material);
 }
 
-/// Spawns the viewer, at rest.
-pub fn viewer(stage: &mut Stage, eye: Vec3, target: Vec3, fov_y_degrees: f32) {
+/// Spawns the viewer, who leans after the body that is played: shares of its way from the `middle` by axis for the eye and
+/// for what is looked at.
+pub fn viewer(stage: &mut Stage, eye: Vec3, target: Vec3, fov_y_degrees: f32, middle: Vec3, shares: [Vec3; 2]) {
     let lens =
         CameraProjection { projection: Projection::Perspective { fov_y: fov_y_degrees.to_radians() }, near: 0.02 };
     let pose = camera::world_from_view_looking_at(eye, target);
     let rotation = Quat::from_mat3(&pose.matrix3).normalize();
     let transform = Transform { translation: eye, rotation, scale: Vec3::ONE };
-    stage.world().spawn((StableId(CAMERA_ID), lens, transform));
+    let lean = Lean { eye, target, middle, eye_share: shares[0], target_share: shares[1], at: middle };
+    stage.world().spawn((StableId(CAMERA_ID), lens, transform, lean));
 }
 
 /// Spawns a roaming spot light over `center` that stays `height` above the floor. `reach`: how far it roams along x and z.
@@ -82,6 +80,8 @@ pub fn tiles(stage: &mut Stage, board: &Board, level: &BoxLevel, looks: &Looks) 
     let slab = stage.mesh(shapes::cuboid(Vec3::new(half * 0.96, TILE_HALF, half * 0.96), [Vec3::ONE; 6]));
     let stone = stage.mesh(shapes::cuboid(Vec3::new(half * 0.9, half * 0.5, half * 0.9), [Vec3::ONE; 6]));
     let cracked = stage.mesh(cracked_slab(half * 0.96));
+    let pads: [MeshId; 6] =
+        std::array::from_fn(|hue| stage.mesh(marks::slab(Vec3::new(half * 0.96, TILE_HALF, half * 0.96), hue)));
     let floor = [0.60, 0.52].map(|a| stage.material(Material::lambert(Vec3::new(a, a * 0.97, a * 0.92))));
     let ice = stage.material(Material::lambert(Vec3::ONE));
     let white = stage.material(Material { emissive: Vec3::splat(0.5), ..Material::lambert(Vec3::splat(0.9)) });
@@ -98,7 +98,7 @@ pub fn tiles(stage: &mut Stage, board: &Board, level: &BoxLevel, looks: &Looks) 
             }
             Tile::Floor => (slab, plain),
             Tile::Cracked => (cracked, ice),
-            Tile::Coloured(hue) => (slab, looks.target[hue as usize]),
+            Tile::Coloured(hue) => (pads[hue as usize], looks.target[hue as usize]),
             Tile::Exit => (slab, white),
             Tile::Gate(_) => (slab, gate),
         };

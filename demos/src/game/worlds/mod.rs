@@ -2,6 +2,7 @@
 
 mod boards;
 mod hall;
+mod marks;
 mod putting;
 
 pub use boards::carry_rings;
@@ -20,7 +21,7 @@ use glam::Vec3;
 use std::{collections::VecDeque, sync::Arc};
 
 /// How far drawn floors lie below the plane that bodies rest on, metres: a resting side would else share the floor's plane.
-const CONTACT_GAP: f32 = 5e-4;
+const CONTACT_GAP: f32 = 1.5e-3;
 /// Half thickness of a tile, metres.
 const TILE_HALF: f32 = 0.03;
 

@@ -62,7 +62,9 @@ pub fn build(level: &PuttLevel) -> (Stage, Board) {
     let middle = (min[1] + max[1]) * 0.5;
     hall::roaming_spot(&mut stage, Vec3::new(0.0, 0.0, middle - 1.6), 2.6, [0.5, 0.5], Vec3::new(24.0, 22.0, 19.0));
     hall::roaming_spot(&mut stage, Vec3::new(0.0, 0.0, middle + 1.9), 2.6, [0.4, 0.4], Vec3::new(24.0, 22.0, 19.0));
-    hall::viewer(&mut stage, Vec3::new(0.0, 1.75, 2.95), Vec3::new(0.0, 0.42, -0.7), 52.0);
+    // He leans to the side alone, and not back: the hole stays behind him.
+    let shares = [Vec3::new(0.14, 0.0, 0.0), Vec3::new(0.10, 0.0, 0.0)];
+    hall::viewer(&mut stage, Vec3::new(0.0, 1.75, 2.95), Vec3::new(0.0, 0.42, -0.7), 52.0, Vec3::ZERO, shares);
     stage.world().insert_resource(looks);
     let origin = Vec3::new(min[0], 0.0, min[1]);
     (stage, Board { origin, east: Vec3::X, south: Vec3::Z, cell: 1.0 })

@@ -1,8 +1,15 @@
 //! The screen by accessible names: what a player finds, and what happens when he presses it.
 
+pub mod snapshots;
+
 use super::*;
-use crate::cli::PictureArgs;
+use crate::{
+    cli::{PictureArgs, Target},
+    game::Kind,
+    play::shared::SaveAs,
+};
 use catoptra_render_hybrid::trace::explain::{RayKind, RayNode};
+use egui::{Color32, Pos2};
 use egui_kittest::{Harness, kittest::Queryable};
 use glam::Vec3;
 
@@ -89,8 +96,17 @@ fn the_display_shows_goal_moves_and_par_and_its_buttons_act() {
     let mut m = model(Some("rolling-box"));
     m.shell.hud = Some(hud(None));
     let mut harness = harness(m);
-    harness.get_by_label(Kind::RollingBox.goal());
     harness.get_by_label("Moves 10   Par 10");
+    // Goal and advice make room for the mirrors after the first move, and come back where one points at the title.
+    assert!(harness.query_by_label(Kind::RollingBox.goal()).is_none());
+    harness.hover_at(Pos2::new(30.0, 25.0));
+    harness.run();
+    harness.get_by_label(Kind::RollingBox.goal());
+    harness.remove_cursor();
+    harness.state_mut().shell.hud = Some(Hud { moves: (0, 10), ..hud(None) });
+    harness.run();
+    harness.get_by_label(Kind::RollingBox.goal());
+    harness.get_by_label(Kind::RollingBox.look());
     assert!(harness.query_by_label("Next level").is_none(), "nothing is won yet");
     for name in ["Undo", "Restart", "Hint", "Level 3"] {
         click(&mut harness, name);
@@ -158,9 +174,8 @@ fn a_click_on_the_picture_plays_or_asks() {
     }
 }
 
-#[test]
-fn the_pixel_explainer_names_every_branch() {
-    let mut m = model(Some("rolling-box-donut"));
+/// A ray into glass and its two branches; `second` is what the reflected one meets.
+fn tree(second: &str) -> (RayTree, Vec<String>) {
     let node = |kind, parent, split: f32, distance, added| RayNode {
         kind,
         parent,
@@ -179,8 +194,14 @@ fn the_pixel_explainer_names_every_branch() {
         node(RayKind::Reflection, Some(0), 0.02, 1.25, 0.02),
         node(RayKind::Refraction, Some(0), 0.96, f32::INFINITY, 0.48),
     ];
-    let names = ["glass of index 1.33", "matte", "nothing: background"].map(String::from).to_vec();
-    m.shell.tree = Some((RayTree { pixel: (3, 4), nodes, cut: false }, names));
+    let names = ["glass of index 1.33", second, "nothing: background"].map(String::from).to_vec();
+    (RayTree { pixel: (3, 4), nodes, cut: false }, names)
+}
+
+#[test]
+fn the_pixel_explainer_names_every_branch() {
+    let mut m = model(Some("rolling-box-donut"));
+    m.shell.tree = Some(tree("matte"));
     let mut harness = harness(m);
     harness.get_by_label("pixel 3, 4: radiance (0.500, 0.500, 0.500)");
     harness.get_by_label("3 rays; what they add is the pixel");
@@ -209,6 +230,48 @@ fn pause_menu_settings_and_keys() {
     assert!(harness.state().controls.photo.is_some());
     click(&mut harness, "Save EXR");
     assert_eq!(harness.state().controls.once.save, Some(SaveAs::Exr));
+    harness.state_mut().controls.exposure_ev = 2.5;
     click(&mut harness, "Back to the game");
+    assert_eq!(harness.state().controls.exposure_ev, 0.0, "a photo's exposure is not the game's");
     assert!(harness.state().controls.photo.is_none() && !harness.state().controls.paused);
+}
+
+#[test]
+fn the_mouse_alone_does_all_that_keys_do_in_a_game() {
+    let mut m = model(Some("two-spheres"));
+    m.shell.hud = Some(Hud { kind: Kind::TwoSpheres, putter: Some((7, 3)), ..hud(None) });
+    let mut harness = harness(m);
+    for name in ["Harder", "Harder", "Softer", "Putt", "Undo", "Hint", "Restart"] {
+        click(&mut harness, name);
+    }
+    let wanted = [Action::Power(4), Action::Power(5), Action::Power(4), Action::Putt];
+    let wanted: Vec<_> = wanted.into_iter().chain([Action::Undo, Action::Hint, Action::Restart]).collect();
+    assert_eq!(harness.state().controls.once.actions, wanted);
+    click(&mut harness, "Menu");
+    assert!(harness.state().shell.menu == Some(Menu::Pause) && harness.state().controls.paused);
+}
+
+#[test]
+fn the_panel_tells_lane_and_tracer_with_their_reasons_and_asks_for_others() {
+    let mut m = model(Some("rolling-box-donut"));
+    m.shell.settings.panel = true;
+    m.shell.figures.learn(&snapshots::measured(1), 50.0);
+    let mut harness = harness(m);
+    harness.get_by_label("lane: GPU, Example GPU");
+    harness.get_by_label("tracer: cpu instead of gpu (measured: gpu 1.20 ms, cpu 9.00 ms)");
+    harness.get_by_label("because --tracer gpu: 40 MB of triangles, the adapter's buffers hold 16 MB");
+    assert!(harness.query_by_label("try the GPU again").is_none());
+    harness.get_by_role_and_label(egui::Role::ComboBox, "tracer").click();
+    harness.run();
+    harness.get_by_label("gpu-fragment").click();
+    harness.run();
+    let wanted = harness.state().controls.once.machine.expect("it is asked for");
+    assert_eq!(wanted.tracer, catoptra_render_hybrid::Tracer::GpuFragment);
+    // A GPU that was given up can be asked for again.
+    harness.state_mut().controls.once.machine = None;
+    harness.state_mut().shell.figures.machine.fault = Some("device lost".into());
+    harness.run();
+    harness.get_by_label("the GPU failed, the CPU took over: device lost");
+    click(&mut harness, "try the GPU again");
+    assert!(harness.state().controls.once.machine.is_some());
 }

@@ -185,9 +185,29 @@ pub(super) fn material(m: &Material, thickness: f32, textures: &Textures, w: &mu
     }
     if let Some(p) = &m.physical {
         let specular = specular_of(p.reflectance, f0(m.ior));
-        if specular != (1.0, Vec3::ONE) {
+        let maps =
+            [("specularColorTexture", &p.reflectance_texture), ("specularTexture", &p.reflectance_strength_texture)];
+        if p.by_reflectance {
+            let mut old = json!({
+                "diffuseFactor": [m.base_color.x, m.base_color.y, m.base_color.z, covered],
+                "specularFactor": p.reflectance.to_array(),
+                "glossinessFactor": 1.0 - p.roughness,
+            });
+            for (name, r) in [("diffuseTexture", &m.base_color_texture), ("specularGlossinessTexture", maps[0].1)] {
+                if let Some(r) = r {
+                    old[name] = textures.info(r, w);
+                }
+            }
+            add(w, "KHR_materials_pbrSpecularGlossiness", old);
+        } else if specular != (1.0, Vec3::ONE) || maps.iter().any(|(_, r)| r.is_some()) {
             let (factor, color) = (specular.0, specular.1.to_array());
-            add(w, "KHR_materials_specular", json!({ "specularFactor": factor, "specularColorFactor": color }));
+            let mut value = json!({ "specularFactor": factor, "specularColorFactor": color });
+            for (name, r) in maps {
+                if let Some(r) = r {
+                    value[name] = textures.info(r, w);
+                }
+            }
+            add(w, "KHR_materials_specular", value);
         }
     }
     let implied = implied(m, metallic, roughness);
@@ -232,15 +252,7 @@ fn metallic_roughness(m: &Material) -> (f32, f32) {
 fn implied(m: &Material, metallic: f32, roughness: f32) -> Material {
     let mut out = Material { base_color: m.base_color.clamp(Vec3::ZERO, Vec3::ONE), ..Material::default() };
     out.attenuation_color = m.attenuation_color.clamp(Vec3::ZERO, Vec3::ONE);
-    let physical = Physical {
-        metallic,
-        roughness,
-        metallic_roughness_texture: None,
-        reflectance: Vec3::splat(f0(m.ior)),
-        transmission: 0.0,
-        transmission_texture: None,
-        blended: false,
-    };
+    let physical = Physical { metallic, roughness, reflectance: Vec3::splat(f0(m.ior)), ..Physical::default() };
     let look = physical.look(out.base_color, PhysicalPlace { metallic, roughness, transmission: 0.0, coverage: 1.0 });
     (out.diffuse, out.specular, out.shininess, out.mirror) = (look.diffuse, look.specular, look.shininess, look.mirror);
     out

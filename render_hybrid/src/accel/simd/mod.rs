@@ -143,22 +143,22 @@ macro_rules! level {
                 unsafe { single::any::<$level>(world, ray) }
             }
             $(#[target_feature(enable = $features)])?
-            pub(super) unsafe fn closest16(world: &World, rays: &[Ray], hits: &mut [Hit]) -> bool {
+            pub(super) unsafe fn closest16(world: &World, rays: &[Ray], hits: &mut [Hit]) -> u32 {
                 // SAFETY: the caller has the features.
                 unsafe { packet::closest::<$level>(world, rays, hits) }
             }
             $(#[target_feature(enable = $features)])?
-            pub(super) unsafe fn closest8(world: &World, rays: &[Ray], hits: &mut [Hit]) -> bool {
+            pub(super) unsafe fn closest8(world: &World, rays: &[Ray], hits: &mut [Hit]) -> u32 {
                 // SAFETY: the caller has the features.
                 unsafe { packet::closest::<Half<$level>>(world, rays, hits) }
             }
             $(#[target_feature(enable = $features)])?
-            pub(super) unsafe fn any16(world: &World, rays: &[Ray], hits: &mut [bool]) -> bool {
+            pub(super) unsafe fn any16(world: &World, rays: &[Ray], hits: &mut [bool]) -> u32 {
                 // SAFETY: the caller has the features.
                 unsafe { packet::any::<$level>(world, rays, hits) }
             }
             $(#[target_feature(enable = $features)])?
-            pub(super) unsafe fn any8(world: &World, rays: &[Ray], hits: &mut [bool]) -> bool {
+            pub(super) unsafe fn any8(world: &World, rays: &[Ray], hits: &mut [bool]) -> u32 {
                 // SAFETY: the caller has the features.
                 unsafe { packet::any::<Half<$level>>(world, rays, hits) }
             }
@@ -205,19 +205,28 @@ pub(crate) fn any(level: Detected, world: &World, ray: &Ray) -> bool {
     hit
 }
 
-/// Closest hits of many rays; neighbours in the slice are taken together where that pays: sixteen at a time, eight where fewer
-/// are left, else one by one. Sixteen that are too different are not tried again as eight: that measured no gain.
+/// Fewer rays than this at the end of a slice go one by one.
+const WORTH: usize = 4;
+
+/// Closest hits of many rays; neighbours in the slice are taken together where that pays: sixteen at a time, what is left over
+/// as sixteen or eight of which some are there twice.
 pub(crate) fn closest_many(level: Detected, world: &World, rays: &[Ray], hits: &mut [Hit]) {
     let (packets, rest) = rays.as_chunks::<16>();
     let (packet_hits, rest_hits) = hits.as_chunks_mut::<16>();
     for (rays, hits) in packets.iter().zip(packet_hits) {
-        if !dispatch!(level, closest16(world, rays, hits)) {
-            rays.iter().zip(hits).for_each(|(ray, hit)| *hit = closest(level, world, ray));
-        }
+        let done = dispatch!(level, closest16(world, rays, hits));
+        others(done, rays, hits, |ray| closest(level, world, ray));
     }
-    let eight = rest.len() >= 8 && dispatch!(level, closest8(world, &rest[..8], &mut rest_hits[..8]));
-    let taken = if eight { 8 } else { 0 };
-    rest[taken..].iter().zip(&mut rest_hits[taken..]).for_each(|(ray, hit)| *hit = closest(level, world, ray));
+    let mut done = 0;
+    if rest.len() >= WORTH {
+        let mut found = [Hit::MISS; 16];
+        done = match filled(rest) {
+            (rays, true) => dispatch!(level, closest8(world, &rays[..8], &mut found[..8])),
+            (rays, false) => dispatch!(level, closest16(world, &rays, &mut found)),
+        };
+        rest_hits.copy_from_slice(&found[..rest.len()]);
+    }
+    others(done, rest, rest_hits, |ray| closest(level, world, ray));
     level.tally(world);
 }
 
@@ -226,12 +235,36 @@ pub(crate) fn any_many(level: Detected, world: &World, rays: &[Ray], occluded: &
     let (packets, rest) = rays.as_chunks::<16>();
     let (packet_hits, rest_hits) = occluded.as_chunks_mut::<16>();
     for (rays, hits) in packets.iter().zip(packet_hits) {
-        if !dispatch!(level, any16(world, rays, hits)) {
-            rays.iter().zip(hits).for_each(|(ray, hit)| *hit = any(level, world, ray));
-        }
+        let done = dispatch!(level, any16(world, rays, hits));
+        others(done, rays, hits, |ray| any(level, world, ray));
     }
-    let eight = rest.len() >= 8 && dispatch!(level, any8(world, &rest[..8], &mut rest_hits[..8]));
-    let taken = if eight { 8 } else { 0 };
-    rest[taken..].iter().zip(&mut rest_hits[taken..]).for_each(|(ray, hit)| *hit = any(level, world, ray));
+    let mut done = 0;
+    if rest.len() >= WORTH {
+        let mut found = [false; 16];
+        done = match filled(rest) {
+            (rays, true) => dispatch!(level, any8(world, &rays[..8], &mut found[..8])),
+            (rays, false) => dispatch!(level, any16(world, &rays, &mut found)),
+        };
+        rest_hits.copy_from_slice(&found[..rest.len()]);
+    }
+    others(done, rest, rest_hits, |ray| any(level, world, ray));
     level.tally(world);
+}
+
+/// At most fifteen rays, the last one again and again to sixteen; true where eight are enough.
+fn filled(rest: &[Ray]) -> ([Ray; 16], bool) {
+    let mut rays = [rest[rest.len() - 1]; 16];
+    rays[..rest.len()].copy_from_slice(rest);
+    (rays, rest.len() <= 8)
+}
+
+/// Sets the hits of the lanes that are not done.
+#[inline(always)]
+fn others<T>(done: u32, rays: &[Ray], hits: &mut [T], one: impl Fn(&Ray) -> T) {
+    let mut left = !done & ((1 << rays.len()) - 1);
+    while left != 0 {
+        let lane = left.trailing_zeros() as usize;
+        left &= left - 1;
+        hits[lane] = one(&rays[lane]);
+    }
 }

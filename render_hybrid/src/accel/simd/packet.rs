@@ -3,8 +3,9 @@
 //! Inner nodes are tested once for the whole packet: intervals of origins and reciprocal directions against eight children.
 //! Leaves, and all children where the packet is wide, are then tested ray by ray, sixteen lanes a child. At a leaf the
 //! cheaper of two orders is taken: all rays against one triangle after another, or one ray after another against all eight
-//! triangles. A subtree that only few rays reach is walked by each of them alone. Packets whose rays differ in the signs or
-//! the main axis of their directions are traced singly from the start. Each ray's hit is the same bits either way.
+//! triangles. A subtree that only few rays reach is walked by each of them alone. Only rays that agree in the signs and the
+//! main axis of their directions go together, in the world and again in each instance's space; those that have nobody like
+//! them go alone. Each ray's hit is the same bits either way.
 //!
 //! Source of the interval test: Boulos, Wald & Shirley, "Geometric and Arithmetic Culling Methods for Entire Ray Packets",
 //! 2006; of the transposed leaf test and the fall-back: Benthin et al., "Combining Single and Packet Ray Tracing for
@@ -112,53 +113,81 @@ struct Space {
     tight: bool,
 }
 
+/// Which lanes' directions have the same signs and main axis.
+struct Kinds {
+    negative: [u32; 3],
+    x: u32,
+    y: u32,
+}
+
+impl Kinds {
+    /// # Safety
+    /// The level's features.
+    #[inline(always)]
+    unsafe fn new<L: Level>(d: &[L::W16; 3]) -> Self {
+        // SAFETY: features by the caller.
+        unsafe {
+            let zero = L::W16::splat(0.0);
+            let size = [d[0].abs(), d[1].abs(), d[2].abs()];
+            let (yx, zx, zy) = (size[1].le(size[0]), size[2].le(size[0]), size[2].le(size[1]));
+            Self { negative: [d[0].lt(zero), d[1].lt(zero), d[2].lt(zero)], x: yx & zx, y: !yx & zy }
+        }
+    }
+
+    /// Lanes of `mask` that are like its first.
+    #[inline(always)]
+    fn like_first(&self, mask: u32) -> u32 {
+        let first = mask & mask.wrapping_neg();
+        let of = |lanes: u32| if lanes & first != 0 { lanes } else { !lanes };
+        of(self.negative[0]) & of(self.negative[1]) & of(self.negative[2]) & of(self.x) & of(self.y) & mask
+    }
+}
+
 impl Space {
-    /// `None`: the rays differ in the signs or the main axis of their directions.
+    /// The rays of `group`, which must be alike; the other lanes are filled with its first one's.
     ///
     /// # Safety
     /// The level's features.
     #[inline(always)]
     unsafe fn new<L: Level>(
-        origin: [L::W16; 3],
-        direction: [L::W16; 3],
+        origin: &[L::W16; 3],
+        direction: &[L::W16; 3],
         t_min: L::W16,
+        kinds: &Kinds,
+        group: u32,
         extent: f32,
         slack: f32,
-    ) -> Option<Self> {
+    ) -> Self {
         // SAFETY: features by the caller.
         unsafe {
             let all = (1u32 << L::RAYS) - 1;
+            let first = group.trailing_zeros() as usize;
+            let (mut origin, mut direction) = (*origin, *direction);
+            if group != all {
+                for v in origin.iter_mut().chain(&mut direction) {
+                    *v = v.select(L::W16::splat(Sixteen::of(*v).0[first]), group);
+                }
+            }
             let zero = L::W16::splat(0.0);
             let size = [direction[0].abs(), direction[1].abs(), direction[2].abs()];
-            let x = size[1].le(size[0]) & size[2].le(size[0]);
-            let y = !size[1].le(size[0]) & size[2].le(size[1]) & all;
-            let k = if x == all {
+            let k = if kinds.x >> first & 1 != 0 {
                 [1, 2, 0]
-            } else if y == all {
+            } else if kinds.y >> first & 1 != 0 {
                 [2, 0, 1]
-            } else if x | y == 0 {
-                [0, 1, 2]
             } else {
-                return None;
+                [0, 1, 2]
             };
             let least = size[k[2]].mul(L::W16::splat(LEAST_SLOPE));
             let one = L::W16::splat(1.0);
             let mut inv = [zero; 3];
             let mut near_plane = [0; 3];
             for a in 0..3 {
-                let negative = direction[a].lt(zero);
+                let negative = kinds.negative[a] >> first & 1 != 0;
                 let d = direction[a];
                 let small = size[a].lt(least);
-                let d = if small != 0 {
-                    least.select(d, small & !negative).select(zero.sub(least), !(small & negative)).select(d, small)
-                } else {
-                    d
-                };
+                let d = if small != 0 { if negative { zero.sub(least) } else { least }.select(d, small) } else { d };
                 inv[a] = one.div(d);
-                near_plane[a] = 2 * a + usize::from(negative == all);
-                if negative != 0 && negative != all {
-                    return None;
-                }
+                near_plane[a] = 2 * a + usize::from(negative);
             }
             let [kx, ky, kz] = k;
             let sz = inv[kz];
@@ -194,7 +223,7 @@ impl Space {
                 let (small, large) = if negative { (-high, -low) } else { (low, high) };
                 space.tight &= large <= small * TIGHT || small > STEEP * sz.greatest().abs();
             }
-            Some(space)
+            space
         }
     }
 
@@ -591,23 +620,32 @@ unsafe fn instance<L: Level, const CLOSEST: bool>(world: &World, slot: u32, rays
                 d[a] = row[0].mul(vd[0]).add(row[1].mul(vd[1])).add(row[2].mul(vd[2]));
             }
         }
-        let space = if mask.count_ones() > FEW && blas.kd.is_none() {
-            Space::new::<L>(o, d, rays.t_min.load(), blas.extent, 1.0)
-        } else {
-            None
-        };
-        if let Some(space) = space {
+        let (mut left, mut singly) = (mask, 0);
+        if blas.kd.is_some() || mask.count_ones() <= FEW {
+            (left, singly) = (0, mask);
+        }
+        let kinds = Kinds::new::<L>(&d);
+        while left != 0 {
+            let group = kinds.like_first(left);
+            left &= !group;
+            if group.count_ones() <= FEW {
+                singly |= group;
+                continue;
+            }
+            let space = Space::new::<L>(&o, &d, rays.t_min.load(), &kinds, group, blas.extent, 1.0);
             let mut v = Inside::<CLOSEST> {
                 nodes: &blas.nodes,
                 blocks: &blas.blocks,
                 space: &space,
                 instance_id: record.instance_id,
             };
-            walk::<L, _>(&blas.nodes, blas.root, &space, rays, mask, &mut v);
+            walk::<L, _>(&blas.nodes, blas.root, &space, rays, group, &mut v);
+        }
+        if singly == 0 {
             return;
         }
         let (o, d) = (o.map(|w| Sixteen::of(w)), d.map(|w| Sixteen::of(w)));
-        let mut mask = mask;
+        let mut mask = singly;
         while mask != 0 {
             let lane = mask.trailing_zeros() as usize;
             mask &= mask - 1;
@@ -635,12 +673,13 @@ unsafe fn instance<L: Level, const CLOSEST: bool>(world: &World, slot: u32, rays
     }
 }
 
-/// The level's number of rays, all usable and of moderate direction. `None`: they are too different to go together.
+/// The level's number of rays, all usable and of moderate direction, and which of them went together with others that are
+/// alike. `None`: none of them.
 ///
 /// # Safety
 /// The level's features.
 #[inline(always)]
-unsafe fn together<L: Level, const CLOSEST: bool>(world: &World, input: &[Ray]) -> Option<Rays> {
+unsafe fn together<L: Level, const CLOSEST: bool>(world: &World, input: &[Ray]) -> Option<(Rays, u32)> {
     // SAFETY: the world keeps the trees' invariants; features by the caller.
     unsafe {
         let mut rays = Rays {
@@ -680,42 +719,52 @@ unsafe fn together<L: Level, const CLOSEST: bool>(world: &World, input: &[Ray]) 
             return None;
         }
         rays.settle::<L>();
-        let mask = all;
+        let mut done = 0;
         if let Some(only) = world.only {
-            instance::<L, CLOSEST>(world, only, &mut rays, mask);
+            instance::<L, CLOSEST>(world, only, &mut rays, all);
+            done = all;
         } else if world.tlas.root != EMPTY {
-            let space = Space::new::<L>(o, d, rays.t_min.load(), world.extent, world.slack)?;
-            let mut v = Above::<CLOSEST> { world };
-            walk::<L, _>(&world.tlas.nodes, world.tlas.root, &space, &mut rays, mask, &mut v);
+            let kinds = Kinds::new::<L>(&d);
+            let mut left = all;
+            while left != 0 {
+                let group = kinds.like_first(left);
+                left &= !group;
+                if group.count_ones() > FEW {
+                    let space = Space::new::<L>(&o, &d, rays.t_min.load(), &kinds, group, world.extent, world.slack);
+                    let mut v = Above::<CLOSEST> { world };
+                    walk::<L, _>(&world.tlas.nodes, world.tlas.root, &space, &mut rays, group, &mut v);
+                    done |= group;
+                }
+            }
         }
-        Some(rays)
+        Some((rays, done))
     }
 }
 
-/// Closest hits of the level's packet; false where they cannot go together.
+/// Closest hits of the level's packet; the lanes whose hits are set, the others have to go alone.
 ///
 /// # Safety
 /// The level's features.
 #[inline(always)]
-pub(super) unsafe fn closest<L: Level>(world: &World, input: &[Ray], hits: &mut [Hit]) -> bool {
+pub(super) unsafe fn closest<L: Level>(world: &World, input: &[Ray], hits: &mut [Hit]) -> u32 {
     // SAFETY: by the caller.
-    let Some(rays) = (unsafe { together::<L, true>(world, input) }) else { return false };
+    let Some((rays, done)) = (unsafe { together::<L, true>(world, input) }) else { return 0 };
     for (i, hit) in hits.iter_mut().enumerate() {
         *hit = if rays.prim[i] == Hit::NONE { Hit::MISS } else { rays.hit(i) };
     }
-    true
+    done
 }
 
-/// Any hits of the level's packet; false where they cannot go together.
+/// Any hits of the level's packet; the lanes that are set, the others have to go alone.
 ///
 /// # Safety
 /// The level's features.
 #[inline(always)]
-pub(super) unsafe fn any<L: Level>(world: &World, input: &[Ray], hits: &mut [bool]) -> bool {
+pub(super) unsafe fn any<L: Level>(world: &World, input: &[Ray], hits: &mut [bool]) -> u32 {
     // SAFETY: by the caller.
-    let Some(rays) = (unsafe { together::<L, false>(world, input) }) else { return false };
+    let Some((rays, done)) = (unsafe { together::<L, false>(world, input) }) else { return 0 };
     for (i, hit) in hits.iter_mut().enumerate() {
         *hit = rays.prim[i] != Hit::NONE;
     }
-    true
+    done
 }

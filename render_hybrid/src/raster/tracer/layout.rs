@@ -15,7 +15,7 @@ pub(crate) const INSTANCE_CASTS_SHADOW: u32 = 2;
 pub(crate) const INSTANCE_CUTOUT: u32 = 4;
 /// The mesh encloses a volume.
 pub(crate) const INSTANCE_CLOSED: u32 = 8;
-pub(crate) const MATERIAL_WORDS: u32 = 24;
+pub(crate) const MATERIAL_WORDS: u32 = 30;
 pub(crate) const MATERIAL_SCHLICK: u32 = 1;
 pub(crate) const MATERIAL_THIN: u32 = 2;
 pub(crate) const LIGHT_WORDS: u32 = 6;
@@ -126,11 +126,14 @@ pub(crate) fn material_words(
 ) -> [Word; MATERIAL_WORDS as usize] {
     let data = MaterialData::new(m, scene, first_texel);
     let mut out = [[0; 4]; MATERIAL_WORDS as usize];
-    out[..22].copy_from_slice(words(&data));
+    let own = words(&data);
+    out[..22].copy_from_slice(&own[..22]);
     // Infinity is no number for a shader.
     out[22] = word(m.attenuation_color.to_array(), m.attenuation_distance.min(f32::MAX).to_bits());
     let flags = if m.schlick { MATERIAL_SCHLICK } else { 0 } | if m.thin { MATERIAL_THIN } else { 0 };
     out[23] = [m.ior.to_bits(), m.priority as u32, flags, 0];
+    // The two textures of reflectance.
+    out[24..].copy_from_slice(&own[22..]);
     out
 }
 

@@ -53,6 +53,28 @@ fn physical_look(reflectance: vec3f, base_color: vec3f, at: PhysicalPlace) -> Lo
     return out;
 }
 
+// Colour and share of metal (w) of a surface told by diffuse colour and reflectance. Twin: metal_of_reflectance.
+fn metal_of_reflectance(diffuse_color: vec3f, reflectance: vec3f) -> vec4f {
+    let strongest = max(reflectance.x, max(reflectance.y, reflectance.z));
+    let metallic = clamp((strongest - DIELECTRIC_REFLECTANCE) / (1.0 - DIELECTRIC_REFLECTANCE), 0.0, 1.0);
+    if metallic == 0.0 {
+        return vec4f(diffuse_color, 0.0);
+    }
+    return vec4f(diffuse_color + (reflectance / strongest - diffuse_color) * metallic, metallic);
+}
+
+// A colour in [0, 1] in one normal float: nine bits a channel, of their square roots.
+fn pack_reflectance(reflectance: vec3f) -> f32 {
+    let code = vec3u(sqrt(clamp(reflectance, vec3f(0.0), vec3f(1.0))) * 511.0 + 0.5);
+    return bitcast<f32>(0x40000000u | (code.x << 18u) | (code.y << 9u) | code.z);
+}
+
+fn unpack_reflectance(packed: f32) -> vec3f {
+    let bits = bitcast<u32>(packed);
+    let root = vec3f(vec3u(bits >> 18u, bits >> 9u, bits) & vec3u(511u)) / 511.0;
+    return root * root;
+}
+
 // A place's factors and whether the tracer has work there, in one normal float: over 0.5 where it has, else below -0.5.
 // Seven bits each, eight for roughness; what decides between kinds of surface stays on its side of the decision.
 fn pack_place(at: PhysicalPlace, traced: bool) -> f32 {
@@ -76,10 +98,14 @@ fn unpack_place(packed: f32) -> PhysicalPlace {
     );
 }
 
-// The look of a pixel. * `packed`: the fourth channel of the G-buffer's base colour
-fn look_of(material: Material, base_color: vec3f, packed: f32) -> Look {
+// The look of a pixel. * `packed`, `packed_reflectance`: the fourth channels of the G-buffer's base colour and emission
+fn look_of(material: Material, base_color: vec3f, packed: f32, packed_reflectance: f32) -> Look {
     if (material.physical & PHYSICAL) != 0u {
-        return physical_look(material.reflectance, base_color, unpack_place(packed));
+        var reflectance = material.reflectance;
+        if (material.physical & PHYSICAL_REFLECTANCE) != 0u {
+            reflectance = unpack_reflectance(packed_reflectance);
+        }
+        return physical_look(reflectance, base_color, unpack_place(packed));
     }
     return Look(
         material.specular, material.shininess, material.diffuse, material.mirror, material.transmission);

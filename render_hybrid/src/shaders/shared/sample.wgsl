@@ -49,6 +49,9 @@ struct SurfaceTexels {
     // Roughness and metallic in y and z.
     metallic_roughness: vec3f,
     transmission: f32,
+    // Glossiness in w.
+    reflectance: vec4f,
+    reflectance_strength: f32,
     // Edges of the triangle on the normal map.
     normal_duv1: vec2f,
     normal_duv2: vec2f,
@@ -58,7 +61,8 @@ struct SurfaceTexels {
 // for those it has alone, and the code stands once: not each branch is skipped where no invocation takes it.
 // Twin: trace/surface.rs and engine/src/texture.rs, Texture::sample_lod.
 fn surface_texels(material: u32, slots: u32, seen: Textured) -> SurfaceTexels {
-    var out = SurfaceTexels(vec4f(1.0), vec3f(1.0), vec3f(1.0), vec3f(1.0), 1.0, vec2f(0.0), vec2f(0.0));
+    var out = SurfaceTexels(
+        vec4f(1.0), vec3f(1.0), vec3f(1.0), vec3f(1.0), 1.0, vec4f(1.0), 1.0, vec2f(0.0), vec2f(0.0));
     var left = slots;
     var finer = vec4f(0.0);
     var second = false;
@@ -109,8 +113,14 @@ fn surface_texels(material: u32, slots: u32, seen: Textured) -> SurfaceTexels {
             case SLOT_METALLIC_ROUGHNESS: {
                 out.metallic_roughness = value.xyz;
             }
-            default: {
+            case SLOT_TRANSMISSION: {
                 out.transmission = value.x;
+            }
+            case SLOT_REFLECTANCE: {
+                out.reflectance = value;
+            }
+            default: {
+                out.reflectance_strength = value.w;
             }
         }
     }

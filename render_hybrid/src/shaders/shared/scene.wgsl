@@ -68,13 +68,16 @@ struct Material {
     metallic_roughness_texture: TextureRef,
     transmission_texture: TextureRef,
     reflectance: vec3f,
-    // PHYSICAL | PHYSICAL_BLENDED; 0: the fields above the textures hold everywhere.
+    // PHYSICAL | PHYSICAL_BLENDED | PHYSICAL_REFLECTANCE | PHYSICAL_BY_REFLECTANCE; 0: the fields above the textures hold
+    // everywhere.
     physical: u32,
     physical_transmission: f32,
     // Bit s: texture s of SLOT_* is there and read.
     texture_slots: u32,
     unused1: u32,
     unused2: u32,
+    reflectance_texture: TextureRef,
+    reflectance_strength_texture: TextureRef,
 }
 
 struct Light {

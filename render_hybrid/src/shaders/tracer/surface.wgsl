@@ -78,9 +78,10 @@ fn srgb_value(byte: u32) -> f32 {
     return srgb_table[byte >> 2u][byte & 3u];
 }
 
-// `material`: its first word. Three words a texture, the factors between the third and the fourth.
+// `material`: its first word. Three words a texture, factors after the third, all else after the fifth.
 fn material_texture(material: u32, slot: u32) -> TextureRef {
-    return read_texture_ref(material + 4u + 3u * slot + u32(slot > SLOT_NORMAL));
+    let behind = u32(slot > SLOT_NORMAL) + 4u * u32(slot > SLOT_TRANSMISSION);
+    return read_texture_ref(material + 4u + 3u * slot + behind);
 }
 
 fn corner_uv(r: TextureRef, vertex: u32) -> vec2f {
@@ -176,7 +177,19 @@ fn surface_at(direction: vec3f, hit: Hit, pixel_width: f32) -> SurfacePoint {
             let alpha = interpolated(vertices, VERTEX_POSITION, weights).w;
             place.coverage = clamp(factors.y * texel.base_color.w * alpha, 0.0, 1.0);
         }
-        look = physical_look(float3(physical), base_color, place);
+        var reflectance = float3(physical);
+        if (physical.w & PHYSICAL_REFLECTANCE) != 0u {
+            reflectance *= texel.reflectance.xyz * texel.reflectance_strength;
+            if (physical.w & PHYSICAL_BY_REFLECTANCE) != 0u {
+                place.roughness = 1.0 - (1.0 - place.roughness) * texel.reflectance.w;
+            }
+        }
+        if (physical.w & PHYSICAL_BY_REFLECTANCE) != 0u {
+            let metal_color = metal_of_reflectance(base_color, reflectance);
+            base_color = metal_color.xyz;
+            place.metallic = metal_color.w;
+        }
+        look = physical_look(reflectance, base_color, place);
         emission *= place.coverage;
         if mask.z != 0u {
             base_color *= place.coverage;

@@ -9,8 +9,11 @@
 //! Twin: the rasteriser of the GPU lane (`shaders/gbuffer.wgsl`, `shaders/moments.wgsl`), whose coverage rule is its own.
 //! Source: Olano & Greer, "Triangle Scan Conversion using 2D Homogeneous Coordinates", Graphics Hardware 1997.
 
+mod crowd;
 mod kernel;
 mod setup;
+#[cfg(test)]
+mod tests;
 mod view;
 
 pub use kernel::{BLOCK, TileBuffers};

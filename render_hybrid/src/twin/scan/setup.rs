@@ -4,8 +4,11 @@ use catoptra_engine::{Mesh, RenderScene};
 use glam::Vec3;
 use rayon::prelude::*;
 
-use super::ScanView;
-use crate::accel::Accel;
+use super::{
+    ScanView,
+    crowd::{Crowd, is_crowd},
+};
+use crate::{accel::Accel, settings::SimdLevel};
 
 /// Triangles that one task sets up.
 const CHUNK: usize = 2048;
@@ -14,10 +17,10 @@ const CHUNK: usize = 2048;
 const MANY: usize = 4_000_000;
 
 /// Pixels by which a triangle's box is widened, so that rounding loses no pixel.
-const MARGIN: f64 = 0.01;
+pub(super) const MARGIN: f64 = 0.01;
 
 /// A triangle as pixels see it.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct ScanTriangle {
     /// Weight of each corner at pixel (x, y) up to a common positive factor: `w[0]·x + w[1]·y + w[2]`.
     pub weights: [[f64; 3]; 3],
@@ -38,13 +41,22 @@ pub struct PixelBox {
     pub y1: u16,
 }
 
+/// An instance in view.
+#[derive(Clone, Copy, Debug)]
+struct Chosen {
+    instance_id: u32,
+    /// Its mesh's tree is searched for what is seen.
+    crowd: bool,
+}
+
 /// One task's part of an instance.
 #[derive(Clone, Copy, Debug)]
 struct Part {
     instance_id: u32,
-    /// First triangle of the mesh, and how many.
+    /// First triangle of the mesh, or first place in the crowd's list, and how many.
     first: u32,
     len: u32,
+    crowd: bool,
     /// Places kept for it.
     room: u32,
     /// How many of them may be seen; they stand at the front of the part's places.
@@ -56,47 +68,63 @@ struct Part {
 pub struct ScanList {
     triangles: Vec<ScanTriangle>,
     boxes: Vec<PixelBox>,
+    chosen: Vec<Chosen>,
+    crowd: Crowd,
     parts: Vec<Part>,
+    #[cfg(test)]
+    ways: Ways,
+}
+
+/// How tests have instances looked at.
+#[cfg(test)]
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub(super) enum Ways {
+    #[default]
+    Chosen,
+    AllSearched,
+    NoneSearched,
 }
 
 impl ScanList {
     /// Sets up the triangles of all instances that rays can hit.
-    pub fn build(&mut self, view: &ScanView, scene: &RenderScene, accel: &Accel) {
+    pub fn build(&mut self, level: SimdLevel, view: &ScanView, scene: &RenderScene, accel: &Accel) {
         self.choose(view, scene, accel, |_| true);
-        self.set_up(view, scene);
+        self.set_up(level, view, scene, accel);
     }
 
     /// Lists the instances that `takes` chooses, that rays can hit and that the view may see.
     pub fn choose(&mut self, view: &ScanView, scene: &RenderScene, accel: &Accel, takes: impl Fn(u32) -> bool) {
-        self.parts.clear();
+        self.chosen.clear();
         for (id, instance) in scene.instances.iter().enumerate() {
             let id = id as u32;
             if !takes(id) || !accel.can_be_hit(id) {
                 continue;
             }
             let mesh = &scene.meshes[instance.mesh as usize];
-            if !may_be_seen(view, mesh, &view.rows_from_object(&instance.world_from_object)) {
+            let rows = view.rows_from_object(&instance.world_from_object);
+            if !may_be_seen(view, mesh, &rows) {
                 continue;
             }
-            let len = mesh.triangles().len();
-            for first in (0..len).step_by(CHUNK) {
-                let len = CHUNK.min(len - first) as u32;
-                self.parts.push(Part { instance_id: id, first: first as u32, len, room: len, seen: 0 });
-            }
+            let crowd = is_crowd(view, mesh, &rows);
+            #[cfg(test)]
+            let crowd = self.ways == Ways::AllSearched || (self.ways == Ways::Chosen && crowd);
+            self.chosen.push(Chosen { instance_id: id, crowd: crowd && accel.mesh_tree(id).is_some() });
         }
     }
 
     /// The instances of [`Self::choose`], ascending.
     pub fn instances(&self) -> impl Iterator<Item = u32> + Clone {
-        self.parts.iter().filter(|p| p.first == 0).map(|p| p.instance_id)
+        self.chosen.iter().map(|c| c.instance_id)
     }
 
     /// Sets up the triangles of the listed instances.
-    pub fn set_up(&mut self, view: &ScanView, scene: &RenderScene) {
+    pub fn set_up(&mut self, level: SimdLevel, view: &ScanView, scene: &RenderScene, accel: &Accel) {
+        self.list_parts(level, view, scene, accel);
         let listed: usize = self.parts.iter().map(|p| p.len as usize).sum();
         if listed > MANY {
             // Most of so many are smaller than a pixel: room for those that are seen alone, counted first.
-            self.parts.par_iter_mut().for_each(|part| part.room = seen(view, scene, part));
+            let seen = |part: &mut Part| part.room = if part.crowd { part.len } else { seen(view, scene, part) };
+            self.parts.par_iter_mut().for_each(seen);
         }
         let total = self.parts.iter().map(|p| p.room as usize).sum();
         if self.triangles.len() < total {
@@ -104,7 +132,35 @@ impl ScanList {
             self.boxes.resize(total, PixelBox::default());
         }
         let (triangles, boxes) = (&mut self.triangles[..total], &mut self.boxes[..total]);
-        set_up_all(view, scene, &mut self.parts, triangles, boxes);
+        set_up_all(view, scene, &self.crowd.ids, &mut self.parts, triangles, boxes);
+    }
+
+    /// Divides the chosen instances into parts, and searches those that are crowds.
+    fn list_parts(&mut self, level: SimdLevel, view: &ScanView, scene: &RenderScene, accel: &Accel) {
+        let Self { chosen, crowd, parts, .. } = self;
+        parts.clear();
+        let mut divide = |instance_id: u32, crowd: bool, range: std::ops::Range<usize>| {
+            for first in range.clone().step_by(CHUNK) {
+                let len = CHUNK.min(range.end - first) as u32;
+                parts.push(Part { instance_id, first: first as u32, len, crowd, room: len, seen: 0 });
+            }
+        };
+        let mut rest = chosen.iter().copied();
+        let mut one_by_one = |until: Option<u32>, divide: &mut dyn FnMut(u32, bool, std::ops::Range<usize>)| {
+            for c in rest.by_ref() {
+                if Some(c.instance_id) == until {
+                    return;
+                }
+                let mesh = &scene.meshes[scene.instances[c.instance_id as usize].mesh as usize];
+                divide(c.instance_id, false, 0..mesh.triangles().len());
+            }
+        };
+        let crowds = chosen.iter().filter(|c| c.crowd).map(|c| c.instance_id);
+        crowd.search(level, view, scene, accel, crowds, |id, range| {
+            one_by_one(Some(id), &mut divide);
+            divide(id, true, range);
+        });
+        one_by_one(None, &mut divide);
     }
 
     /// Triangle number `n`.
@@ -135,10 +191,30 @@ impl ScanList {
     }
 }
 
+#[cfg(test)]
+impl ScanList {
+    pub(super) fn with_ways(ways: Ways) -> Self {
+        Self { ways, ..Self::default() }
+    }
+
+    /// All triangles that may be seen, with all their numbers and boxes, in order.
+    pub(super) fn seen(&self) -> Vec<(ScanTriangle, PixelBox)> {
+        let mut numbers = Vec::new();
+        self.of_rows(0, u32::MAX, &mut numbers);
+        numbers.into_iter().map(|n| (*self.triangle(n), self.pixel_box(n))).collect()
+    }
+
+    /// Places that triangles have.
+    pub(super) fn places(&self) -> usize {
+        self.triangles.len()
+    }
+}
+
 /// Halves the work between threads down to about [`CHUNK`] triangles.
 fn set_up_all(
     view: &ScanView,
     scene: &RenderScene,
+    crowd: &[u32],
     parts: &mut [Part],
     triangles: &mut [ScanTriangle],
     boxes: &mut [PixelBox],
@@ -148,14 +224,14 @@ fn set_up_all(
         for part in parts {
             let places = at..at + part.room as usize;
             at = places.end;
-            set_up(view, scene, part, &mut triangles[places.clone()], &mut boxes[places]);
+            set_up(view, scene, crowd, part, &mut triangles[places.clone()], &mut boxes[places]);
         }
         return;
     }
     let (a, b) = parts.split_at_mut(parts.len() / 2);
     let work = a.iter().map(|p| p.room as usize).sum();
     let ((ta, tb), (ba, bb)) = (triangles.split_at_mut(work), boxes.split_at_mut(work));
-    rayon::join(|| set_up_all(view, scene, a, ta, ba), || set_up_all(view, scene, b, tb, bb));
+    rayon::join(|| set_up_all(view, scene, crowd, a, ta, ba), || set_up_all(view, scene, crowd, b, tb, bb));
 }
 
 /// False where the mesh's box is wholly outside of the view.
@@ -172,14 +248,15 @@ fn may_be_seen(view: &ScanView, mesh: &Mesh, rows: &[[f64; 4]; 3]) -> bool {
 }
 
 #[derive(Clone, Copy)]
-struct Corner {
+pub(super) struct Corner {
     /// Homogeneous pixel coordinates.
-    h: [f64; 3],
-    t: f64,
+    pub h: [f64; 3],
+    /// Distance along the axis.
+    pub t: f64,
 }
 
 #[inline(always)]
-fn project(view: &ScanView, rows: &[[f64; 4]; 3], p: Vec3) -> Corner {
+pub(super) fn project(view: &ScanView, rows: &[[f64; 4]; 3], p: Vec3) -> Corner {
     let (x, y, z) = (f64::from(p.x), f64::from(p.y), f64::from(p.z));
     let [u, v, t] = rows.map(|r| ((r[0] * x + r[1] * y) + r[2] * z) + r[3]);
     Corner { h: [u, v, if view.perspective { t } else { 1.0 }], t }
@@ -204,6 +281,7 @@ fn seen(view: &ScanView, scene: &RenderScene, part: &Part) -> u32 {
 fn set_up(
     view: &ScanView,
     scene: &RenderScene,
+    crowd: &[u32],
     part: &mut Part,
     triangles: &mut [ScanTriangle],
     boxes: &mut [PixelBox],
@@ -213,7 +291,8 @@ fn set_up(
     let rows = view.rows_from_object(&instance.world_from_object);
     let positions = mesh.positions();
     part.seen = 0;
-    for primitive_id in part.first..part.first + part.len {
+    for at in part.first..part.first + part.len {
+        let primitive_id = if part.crowd { crowd[at as usize] } else { at };
         let corners = mesh.triangles()[primitive_id as usize].map(|v| project(view, &rows, positions[v as usize]));
         if let Some((mut triangle, b)) = triangle(view, corners) {
             (triangle.instance_id, triangle.primitive_id) = (part.instance_id, primitive_id);
@@ -226,7 +305,7 @@ fn set_up(
 
 /// `None` where no pixel can see it.
 #[inline(always)]
-fn triangle(view: &ScanView, c: [Corner; 3]) -> Option<(ScanTriangle, PixelBox)> {
+pub(super) fn triangle(view: &ScanView, c: [Corner; 3]) -> Option<(ScanTriangle, PixelBox)> {
     let t = c.map(|c| c.t);
     let (least, greatest) = (t[0].min(t[1]).min(t[2]), t[0].max(t[1]).max(t[2]));
     if !(greatest > view.near && least < view.far) {
