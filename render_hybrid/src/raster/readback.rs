@@ -145,7 +145,7 @@ impl Readback {
         let mut encoder = gpu.encoder("readback.buffer");
         self.mailbox.buffer(&mut encoder, source, offset, bytes);
         self.mailbox.sent(&gpu.queue.submit([encoder.finish()]));
-        self.mailbox.read(gpu, |data| bytemuck::pod_collect_to_vec(data))
+        self.mailbox.read(gpu, bytemuck::pod_collect_to_vec)
     }
 
     /// One layer of a texture whose texels have the size of `T`, row by row from the top.

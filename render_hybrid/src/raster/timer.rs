@@ -85,7 +85,7 @@ impl StageTimer {
             t.mailbox.sent(&gpu.queue.submit([commands]));
             gpu.wait()?;
             let took = before.elapsed();
-            let ticks: Vec<u64> = t.mailbox.read(gpu, |data| bytemuck::pod_collect_to_vec(data))?;
+            let ticks: Vec<u64> = t.mailbox.read(gpu, bytemuck::pod_collect_to_vec)?;
             if best.is_none_or(|(least, ..)| took < least) {
                 best = Some((took, before + took / 2, ticks[0]));
             }
@@ -151,7 +151,7 @@ impl StageTimer {
         let stages = std::mem::take(&mut self.stages[slot]);
         let mut ticks = Vec::new();
         if let (Some(slots), false) = (&mut self.timestamps, stages.is_empty()) {
-            ticks = slots[slot].mailbox.read(gpu, |data| bytemuck::pod_collect_to_vec::<u8, u64>(data))?;
+            ticks = slots[slot].mailbox.read(gpu, bytemuck::pod_collect_to_vec::<u8, u64>)?;
         }
         let period = f64::from(gpu.queue.get_timestamp_period()) * 1e-9;
         // Without a common clock lengths are still right.

@@ -106,7 +106,7 @@ impl GpuRaster {
     /// [`RenderError::Gpu`]
     pub(crate) fn read_trace_counts(&mut self) -> Result<TracedCounts, RenderError> {
         self.step(|s| {
-            let words: Vec<u32> = s.mail.counts.read(&s.gpu, |data| bytemuck::pod_collect_to_vec(data))?;
+            let words: Vec<u32> = s.mail.counts.read(&s.gpu, bytemuck::pod_collect_to_vec)?;
             Ok(TracedCounts::of(&words))
         })
     }
