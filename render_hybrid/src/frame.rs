@@ -4,7 +4,7 @@
 //! scene -> two-level structure -> shadow moments -> VPLs -> per pixel: G-buffer + mask, direct, indirect, traced -> compose
 //! ```
 //!
-//! [`cpu_frame`] makes every stage on the CPU; [`gpu_frame`] leaves the per-pixel light to wgpu and traces the masked pixels
+//! [`cpu_frame`] makes every stage on the CPU; `gpu_frame.rs` leaves the per-pixel light to wgpu and traces the masked pixels
 //! on the CPU meanwhile. Both read the same scene, views, VPLs and structure.
 
 use catoptra_engine::RenderScene;
@@ -14,17 +14,16 @@ use std::time::Instant;
 
 use crate::{
     error::RenderError,
+    gpu_frame,
     output::{Frame, FrameStats, Image, Layer, StageTimes},
-    raster::{GpuRaster, RasterInputs, TracedRays},
     renderer::{FrameState, device_name, update_structures},
     settings::{RasterLane, RenderSettings, Shadows, SimdLevel, Tracer, VplOptions, VplShadows},
     trace::{
         budget,
-        camera_rays::{self, TracedLight},
         explain::{self, RayTree},
         points::Emitter,
         shade::FrameContext,
-        whitted::{self, MaskedPixel},
+        whitted::MaskedPixel,
     },
     twin::{
         gbuffer::{CameraScan, Eye},
@@ -32,7 +31,6 @@ use crate::{
         moments::render_moments,
         shadow::ShadowPlan,
         tile::{TileRect, TileScratch, TileStats, render_tile},
-        vpl_maps::VplMaps,
     },
 };
 
@@ -64,8 +62,10 @@ pub(crate) fn render_frame(
             cpu_frame(state, level, scene, settings, frame);
         }
         Some(mut gpu) => {
-            frame.image = Image::default();
-            let made = gpu_frame(state, &mut gpu, level, scene, settings, read_back, frame);
+            if !read_back {
+                frame.image = Image::default();
+            }
+            let made = gpu_frame::make(state, &mut gpu, level, scene, settings, read_back, frame);
             state.gpu = Some(gpu);
             made?;
         }
@@ -118,172 +118,13 @@ pub(crate) fn explain_pixel(
     Ok(explain::explain(&context(state, level, scene, settings), x, y))
 }
 
-/// Light on the GPU, mirrors and glass on the CPU, at the same time.
-fn gpu_frame(
-    state: &mut FrameState,
-    gpu: &mut GpuRaster,
-    level: SimdLevel,
-    scene: &RenderScene,
-    settings: &RenderSettings,
-    read_back: bool,
-    frame: &mut Frame,
-) -> Result<(), RenderError> {
-    frame.stats.raster = RasterLane::Gpu;
-    // The GPU renders moments, G-buffer and mask while the CPU updates its structures and traces photons.
-    let plan = shadow_plan(scene, settings);
-    gpu.set_timing(settings.time_passes);
-    gpu.begin(scene, settings, &plan)?;
-    structures(state, scene, settings, &mut frame.stats);
-    virtual_lights(state, scene, settings, &mut frame.stats);
-
-    // Where visibility is traced, the CPU finds it.
-    let start = Instant::now();
-    let trace_lights = matches!(settings.shadows, Shadows::Traced | Shadows::Certified);
-    if settings.shadows == Shadows::Certified {
-        moments(state, level, scene, settings, &mut frame.stats);
-    }
-    let too_many = state.photons.vpls.len() > gpu.most_vpl_maps() as usize;
-    let trace_vpls = settings.vpl.is_some_and(|v| match v.shadows {
-        VplShadows::Off => false,
-        VplShadows::Maps => too_many,
-        VplShadows::Traced => true,
-    });
-    let none = VplMaps::default();
-    gpu.set_vpl_maps(if too_many { &none } else { &state.vpl_maps })?;
-    let mut traced = TracedLight::default();
-    if trace_lights || trace_vpls {
-        let ctx = context(state, level, scene, settings);
-        traced = camera_rays::trace_light(&ctx, trace_lights, trace_vpls, &mut frame.stats.rays);
-    }
-    let visibility = trace_lights.then_some(traced.visibility.as_slice());
-    let indirect = trace_vpls.then_some(traced.indirect.as_slice());
-    frame.stats.stages_ms.direct = milliseconds(start);
-
-    let bound = geometry_term_max(scene, settings);
-    if traces_on_gpu(state, gpu, scene, settings, bound)? {
-        // A frame that never leaves the GPU.
-        frame.stats.tracer = gpu.tracer();
-        gpu.light(&state.photons.vpls, bound, visibility, indirect)?;
-        gpu.trace()?;
-        gpu.compose_traced()?;
-        if read_back {
-            let (masked, rays) = gpu.read_trace_counts()?;
-            count_traced(&mut frame.stats, masked, rays.unwrap_or_default());
-        }
-        return finish_gpu_frame(gpu, settings, read_back, frame);
-    }
-    frame.stats.tracer = Tracer::Cpu;
-    frame.stats.tracer_fallback.clone_from(&state.tracer_fallback);
-
-    // Read the mask before light is submitted: the GPU works in order, and a read behind it would wait for it.
-    let start = Instant::now();
-    let masked = gpu.read_masked_pixels()?;
-    frame.stats.masked_pixels = masked.len() as u64;
-    if settings.traced && !masked.is_empty() && settings.shadows == Shadows::Moments {
-        state.maps.plan = plan;
-        state.maps.maps = gpu.read_moments()?;
-        state.moments.forget();
-    }
-    frame.stats.stages_ms.transfer += milliseconds(start);
-
-    // The GPU lights all pixels while the CPU traces the masked ones.
-    gpu.light(&state.photons.vpls, bound, visibility, indirect)?;
-    let start = Instant::now();
-    let traced = if settings.traced {
-        trace_masked(state, level, scene, settings, &masked, &mut frame.stats)
-    } else {
-        Vec::new()
-    };
-    frame.stats.stages_ms.traced = milliseconds(start);
-
-    let start = Instant::now();
-    gpu.compose(&traced)?;
-    frame.stats.stages_ms.transfer += milliseconds(start);
-    finish_gpu_frame(gpu, settings, read_back, frame)
-}
-
-/// Brings the GPU's tracer up to the scene; false where the CPU traces: by choice, or because the scene is too large for the
-/// adapter and `Auto` may fall back.
-fn traces_on_gpu(
-    state: &mut FrameState,
-    gpu: &mut GpuRaster,
-    scene: &RenderScene,
-    settings: &RenderSettings,
-    geometry_term_max: f32,
-) -> Result<bool, RenderError> {
-    if !settings.traced || gpu.tracer() == Tracer::Cpu {
-        return Ok(false);
-    }
-    let few = settings.vpl.is_some_and(|v| v.mirrored > 0);
-    let (accel, vpls) = (&state.accel, if few { &state.mirrored.vpls } else { &state.photons.vpls }.as_slice());
-    let maps = !few && settings.vpl.is_some_and(|v| v.shadows == VplShadows::Maps);
-    let prepared = if maps && vpls.len() > gpu.most_vpl_maps() as usize {
-        let (wanted, most) = (vpls.len(), gpu.most_vpl_maps());
-        Err(RenderError::Unavailable {
-            choice: format!("--tracer {}", gpu.tracer().name()),
-            missing: format!("{wanted} VPL maps, but this adapter holds {most}"),
-        })
-    } else {
-        gpu.prepare_trace(&RasterInputs { scene, accel, settings, vpls, geometry_term_max })
-    };
-    match prepared {
-        Ok(()) => Ok(true),
-        Err(RenderError::Unavailable { choice, missing }) if state.automatic_tracer => {
-            tracing::warn!("{choice}: {missing}; the CPU traces");
-            state.tracer_fallback = Some(format!("{choice}: {missing}"));
-            gpu.set_tracer(Tracer::Cpu, false)?;
-            Ok(false)
-        }
-        Err(error) => Err(error),
-    }
-}
-
-fn count_traced(stats: &mut FrameStats, masked: u64, rays: TracedRays) {
-    stats.masked_pixels = masked;
-    stats.rays.reflection += rays.reflection;
-    stats.rays.refraction += rays.refraction;
-    stats.rays.shadow += rays.shadow;
-    stats.rays.vpl += rays.vpl;
-    if rays.capped > 0 {
-        tracing::warn!("{} pixels met a cap of the GPU's tracer", rays.capped);
-    }
-}
-
-/// What is read back of a composed frame, and its figures.
-fn finish_gpu_frame(
-    gpu: &mut GpuRaster,
-    settings: &RenderSettings,
-    read_back: bool,
-    frame: &mut Frame,
-) -> Result<(), RenderError> {
-    let start = Instant::now();
-    if read_back {
-        frame.image = gpu.read_layer(Layer::Final)?;
-    }
-    if settings.keep_layers {
-        for (layer, _) in Layer::ALL.iter().filter(|(l, _)| *l != Layer::Final) {
-            frame.layers.push((*layer, gpu.read_layer(*layer)?));
-        }
-    }
-    frame.stats.stages_ms.transfer += milliseconds(start);
-    blacken_non_finite(&mut frame.image, &mut frame.stats);
-    (frame.stats.bytes_up, frame.stats.bytes_down) = gpu.counters();
-    let stages = &mut frame.stats.stages_ms;
-    for (pass, milliseconds) in gpu.take_pass_times()? {
-        *match pass {
-            "moments" => &mut stages.moments,
-            "gbuffer" | "compact" => &mut stages.gbuffer,
-            "direct" => &mut stages.direct,
-            "indirect" => &mut stages.indirect,
-            "traced" => &mut stages.traced,
-            _ => &mut stages.compose,
-        } += milliseconds;
-    }
-    Ok(())
-}
-
 /// Two-level structure and normal matrices.
-fn structures(state: &mut FrameState, scene: &RenderScene, settings: &RenderSettings, stats: &mut FrameStats) {
+pub(crate) fn structures(
+    state: &mut FrameState,
+    scene: &RenderScene,
+    settings: &RenderSettings,
+    stats: &mut FrameStats,
+) {
     let _span = tracing::info_span!("structures").entered();
     let start = Instant::now();
     let update = update_structures(state, scene, settings.glass_shadows);
@@ -293,7 +134,7 @@ fn structures(state: &mut FrameState, scene: &RenderScene, settings: &RenderSett
 }
 
 /// Which views the lights need; none unless shadows come from maps.
-fn shadow_plan(scene: &RenderScene, settings: &RenderSettings) -> ShadowPlan {
+pub(crate) fn shadow_plan(scene: &RenderScene, settings: &RenderSettings) -> ShadowPlan {
     match settings.shadows {
         Shadows::Moments | Shadows::Certified => {
             ShadowPlan::new(&scene.lights, scene.bounds_world(), &settings.moments)
@@ -303,7 +144,7 @@ fn shadow_plan(scene: &RenderScene, settings: &RenderSettings) -> ShadowPlan {
 }
 
 /// Shadow moments and their blur.
-fn moments(
+pub(crate) fn moments(
     state: &mut FrameState,
     level: SimdLevel,
     scene: &RenderScene,
@@ -325,7 +166,12 @@ fn moments(
 }
 
 /// Photons from the lights become VPLs; then the VPLs' shadow maps.
-fn virtual_lights(state: &mut FrameState, scene: &RenderScene, settings: &RenderSettings, stats: &mut FrameStats) {
+pub(crate) fn virtual_lights(
+    state: &mut FrameState,
+    scene: &RenderScene,
+    settings: &RenderSettings,
+    stats: &mut FrameStats,
+) {
     let _span = tracing::info_span!("virtual lights").entered();
     let start = Instant::now();
     if let Some(vpl) = &settings.vpl {
@@ -361,13 +207,13 @@ fn virtual_lights(state: &mut FrameState, scene: &RenderScene, settings: &Render
 }
 
 /// Absolute bound of the VPLs' geometry term in 1/m²: the option is in units of 1/(scene radius)².
-fn geometry_term_max(scene: &RenderScene, settings: &RenderSettings) -> f32 {
+pub(crate) fn geometry_term_max(scene: &RenderScene, settings: &RenderSettings) -> f32 {
     let radius = scene.bounds_world().radius();
     let bound = settings.vpl.and_then(|v| v.geometry_term_max).map_or(f32::INFINITY, |b| b / (radius * radius));
     if bound.is_nan() { f32::INFINITY } else { bound }
 }
 
-fn context<'a>(
+pub(crate) fn context<'a>(
     state: &'a FrameState,
     level: SimdLevel,
     scene: &'a RenderScene,
@@ -553,9 +399,9 @@ struct Band<'a> {
     layers: Vec<&'a mut [[f32; 3]]>,
 }
 
-type NonFinite = (u64, Option<(u32, u32)>);
+pub(crate) type NonFinite = (u64, Option<(u32, u32)>);
 
-fn merge_non_finite(a: NonFinite, b: NonFinite) -> NonFinite {
+pub(crate) fn merge_non_finite(a: NonFinite, b: NonFinite) -> NonFinite {
     let first = match (a.1, b.1) {
         (Some(p), Some(q)) => Some(if (p.1, p.0) <= (q.1, q.0) { p } else { q }),
         (p, q) => p.or(q),
@@ -649,49 +495,6 @@ fn moments_image(state: &FrameState) -> Image {
     }
 }
 
-/// Whitted tracing of a list of masked pixels (GPU lane), in chunks over all threads.
-fn trace_masked(
-    state: &FrameState,
-    level: SimdLevel,
-    scene: &RenderScene,
-    settings: &RenderSettings,
-    masked: &[u32],
-    stats: &mut FrameStats,
-) -> Vec<(u32, [f32; 3])> {
-    let ctx = context(state, level, scene, settings);
-    if let Some(budget) = settings.ray_budget {
-        let pixels = camera_rays::masked_pixels(&ctx, masked, &mut stats.rays);
-        let left = budget.saturating_sub(stats.rays.total());
-        let radiance = budget::trace(&ctx, &pixels, left, &mut stats.rays);
-        return pixels.iter().zip(radiance).map(|(p, r)| (p.pixel, r.to_array())).collect();
-    }
-    let chunk = (settings.tile * settings.tile) as usize;
-    let (lists, counts): (Vec<Vec<(u32, [f32; 3])>>, Vec<_>) = masked
-        .par_chunks(chunk)
-        .map(|list| {
-            let mut counts = crate::output::RayCounts::default();
-            let (mut scratch, mut radiance) = (whitted::WhittedScratch::default(), Vec::new());
-            let pixels: Vec<MaskedPixel> = camera_rays::masked_pixels(&ctx, list, &mut counts);
-            whitted::trace(&ctx, &pixels, &mut scratch, &mut radiance, &mut counts);
-            let traced = pixels.iter().zip(&radiance).map(|(p, r)| (p.pixel, r.to_array())).collect();
-            (traced, counts)
-        })
-        .unzip();
-    stats.rays = counts.into_iter().fold(stats.rays, crate::output::RayCounts::merged);
-    lists.concat()
-}
-
-fn blacken_non_finite(image: &mut Image, stats: &mut FrameStats) {
-    let width = image.width as usize;
-    for (i, p) in image.pixels.iter_mut().enumerate() {
-        if !p.iter().all(|v| v.is_finite()) {
-            *p = [0.0; 3];
-            let place = ((i % width) as u32, (i / width) as u32);
-            stats.non_finite = merge_non_finite(stats.non_finite, (1, Some(place)));
-        }
-    }
-}
-
-fn milliseconds(start: Instant) -> f64 {
+pub(crate) fn milliseconds(start: Instant) -> f64 {
     start.elapsed().as_secs_f64() * 1e3
 }

@@ -4,6 +4,7 @@
 pub mod accel;
 pub mod error;
 mod frame;
+mod gpu_frame;
 pub mod image_io;
 #[cfg(feature = "metrics")]
 pub mod metrics;

@@ -173,6 +173,26 @@ pub struct StageTimes {
     pub total: f64,
 }
 
+/// When a stage ran.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct StageInterval {
+    /// On the GPU, else on the thread that makes the frame (with its pool's threads, where the stage has work for them).
+    pub on_gpu: bool,
+    /// Name of the stage; what begins with `wait` is a stall.
+    pub name: &'static str,
+    /// By this process's clock. GPU clocks are set by it once, to within half the time of an empty submission.
+    pub begin: std::time::Instant,
+    /// As `begin`.
+    pub end: std::time::Instant,
+}
+
+impl StageInterval {
+    /// Length in milliseconds.
+    pub fn milliseconds(&self) -> f64 {
+        self.end.duration_since(self.begin).as_secs_f64() * 1e3
+    }
+}
+
 /// Counters of one frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct FrameStats {
@@ -200,6 +220,13 @@ pub struct FrameStats {
     pub bytes_up: u64,
     /// Bytes read back from the GPU.
     pub bytes_down: u64,
+    /// Pipelines that were compiled within the frame: 0 but where settings ask for a kernel for the first time
+    /// ([`crate::Renderer::prepare`] makes them before).
+    pub pipelines_made: u64,
+    /// Frames by which the picture is late: 1 where [`crate::RenderSettings::double_buffered`] has come into effect.
+    pub latency_frames: u32,
+    /// When the stages ran (GPU lane, where [`crate::RenderSettings::time_passes`] asks for it).
+    pub timeline: Vec<StageInterval>,
     /// Pixels whose radiance was not finite and was made black, and the first of them.
     pub non_finite: (u64, Option<(u32, u32)>),
 }

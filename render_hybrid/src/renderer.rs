@@ -7,6 +7,7 @@ use crate::{
     accel::{Accel, AccelOptions},
     error::RenderError,
     frame,
+    gpu_frame::Doubled,
     output::{Frame, FrameStats, Image},
     query::SceneQuery,
     raster::{GpuRaster, HostView, list_adapters},
@@ -72,6 +73,8 @@ pub(crate) struct FrameState {
     pub spare_plan: ShadowPlan,
     /// What the VPLs were made of.
     pub lit_by: LitBy,
+    /// What those on the GPU were made of.
+    pub lit_on_gpu: LitBy,
     pub photons: Photons,
     pub emitters: Vec<Emitter>,
     /// A smaller set for mirrors and glass.
@@ -91,6 +94,8 @@ pub(crate) struct FrameState {
     pub automatic_tracer: bool,
     /// Why that happened.
     pub tracer_fallback: Option<String>,
+    /// The frame that is on its way while the next one is made.
+    pub doubled: Doubled,
 }
 
 impl Renderer {
@@ -136,6 +141,7 @@ impl Renderer {
             moments: MomentsScratch::default(),
             spare_plan: ShadowPlan::default(),
             lit_by: LitBy::default(),
+            lit_on_gpu: LitBy::default(),
             photons: Photons::default(),
             emitters: Vec::new(),
             mirrored: Photons::default(),
@@ -148,6 +154,7 @@ impl Renderer {
             gpu,
             automatic_tracer: options.tracer == Tracer::Auto,
             tracer_fallback: None,
+            doubled: Doubled::default(),
         };
         // What was asked for by name does not fall back.
         let automatic = options.raster == RasterLane::Auto && matches!(options.tracer, Tracer::Auto | Tracer::Cpu);
@@ -282,6 +289,19 @@ impl Renderer {
         Ok(Self { host: Some((device, queue)), ..Self::with_gpu(options, gpu)? })
     }
 
+    /// Makes ready what a frame with these settings needs (GPU lane): kernels that they ask for are compiled, by wgpu and, since
+    /// a small picture is drawn with them, by the driver, so that no later frame waits for a compiler.
+    ///
+    /// # Errors
+    /// As [`Self::render`].
+    pub fn prepare(&mut self, settings: &RenderSettings) -> Result<(), RenderError> {
+        if self.state.gpu.is_none() {
+            return Ok(());
+        }
+        let settings = RenderSettings { width: 16, height: 16, double_buffered: false, ..*settings };
+        self.render(&tracer_choice::measured_scene(), &settings).map(|_| ())
+    }
+
     /// Makes one picture. Right on the first call; the same scene and settings give the same picture ever after.
     ///
     /// Where the lane was `Auto` and the GPU fails (lost, out of memory, a scene beyond its limits), the CPU lane makes this
@@ -344,6 +364,7 @@ impl Renderer {
             self.host = self.state.gpu.as_ref().map(|g| (g.device().0.clone(), g.device().1.clone()));
         }
         self.state.gpu = None;
+        self.state.doubled = Doubled::default();
         self.tracer = TracerChoice::new(Tracer::Cpu, format!("the GPU failed: {why}"));
         self.fault = Some(why);
     }

@@ -219,8 +219,13 @@ pub struct RenderSettings {
     pub seed: u32,
     /// Keep every layer beside the final picture. Costs memory traffic, and read-back on the GPU lane.
     pub keep_layers: bool,
-    /// Measure each GPU pass. Free where the adapter has timestamps; elsewhere it waits after each pass.
+    /// Measure each GPU pass and note when each stage ran. Free where the adapter has timestamps; elsewhere it waits after
+    /// each pass.
     pub time_passes: bool,
+    /// GPU lane: CPU and GPU work on two frames at once, so that a frame takes as long as the slower of both and not their
+    /// sum. Costs one frame of latency: each call shows the picture that the call before would have shown without
+    /// ([`crate::FrameStats::latency_frames`]). The first call of a size, and calls that keep layers, show their own.
+    pub double_buffered: bool,
 }
 
 impl Default for RenderSettings {
@@ -260,6 +265,7 @@ impl RenderSettings {
             seed: 0,
             keep_layers: false,
             time_passes: false,
+            double_buffered: false,
         };
         match preset {
             Preset::Draft => Self {

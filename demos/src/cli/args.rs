@@ -137,6 +137,9 @@ pub struct BenchArgs {
     /// Frames that are measured, after two that are not
     #[arg(long, value_name = "N", default_value_t = 30, value_parser = clap::value_parser!(u64).range(1..=100_000))]
     pub frames: u64,
+    /// CPU and GPU work on two frames at once (GPU lane): faster, and each picture comes one frame later
+    #[arg(long)]
+    pub double_buffer: bool,
     /// Writes the figures as JSON, to stdout where no file is named
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "-")]
     pub json: Option<PathBuf>,

@@ -19,7 +19,9 @@ const WARM_UP: u64 = 2;
 
 /// Runs `bench`.
 pub fn run(args: &BenchArgs) -> Result<(), Failure> {
-    let settings = args.picture.settings(DEFAULT_SIZE)?;
+    let mut settings = args.picture.settings(DEFAULT_SIZE)?;
+    settings.double_buffered = args.double_buffer;
+    settings.time_passes = args.picture.trace.is_some();
     let targets = Target::parse(&args.target)?;
     refuse_more_than_memory(&settings)?;
     let options = args.picture.scene.options_for(&targets)?;
@@ -28,6 +30,7 @@ pub fn run(args: &BenchArgs) -> Result<(), Failure> {
     let json_alone = args.json.as_deref() == Some(Path::new("-"));
     let mut scenes = Vec::new();
     let mut canvas = Canvas::default();
+    renderer.prepare(&settings)?;
     for target in &targets {
         let mut world = World::open(target, &options)?;
         let mut progress = Progress::new(&world.name, WARM_UP + args.frames);
@@ -36,6 +39,7 @@ pub fn run(args: &BenchArgs) -> Result<(), Failure> {
             let exposure = args.picture.exposure;
             let record = make_frame(&mut world, &mut renderer, &settings, k, Layer::Final, exposure, &mut canvas)?;
             if k >= WARM_UP {
+                trace_file::add(recording.as_ref(), &record.stats.timeline);
                 records.push(record);
             }
             progress.set(k + 1);
@@ -71,6 +75,9 @@ fn entry(world: &World, size: (u32, u32), records: &[FrameRecord]) -> Value {
         "stages_ms": stats::stage_medians(records),
         "rays": stats::ray_medians(records),
         "mray_per_s": stats::mrays(records),
+        // Frames by which pictures are late, and pipelines that frames waited for.
+        "latency_frames": last.map(|s| s.latency_frames),
+        "pipelines_made": records.iter().map(|r| r.stats.pipelines_made).sum::<u64>(),
     })
 }
 

@@ -67,6 +67,7 @@ pub fn run(args: &RenderArgs) -> Result<(), Failure> {
 pub fn render(job: &RenderJob<'_>) -> Result<(), Failure> {
     let mut settings = job.picture.settings(DEFAULT_SIZE)?;
     settings.keep_layers = job.layer != LayerArg::Final;
+    settings.time_passes = job.picture.trace.is_some();
     refuse_more_than_memory(&settings)?;
     let options = job.picture.scene.options_for(&job.targets)?;
     let recording = trace_file::start(job.picture.trace.as_deref())?;
@@ -79,10 +80,12 @@ pub fn render(job: &RenderJob<'_>) -> Result<(), Failure> {
             // Folder and machine are asked once something can be drawn, and before it is.
             none => {
                 prepare_folder(job.out)?;
-                none.insert(job.picture.renderer()?)
+                let made = none.insert(job.picture.renderer()?);
+                made.prepare(&settings)?;
+                made
             }
         };
-        entries.push(render_target(job, &mut world, renderer, &settings)?);
+        entries.push(render_target(job, &mut world, renderer, &settings, recording.as_ref())?);
     }
     trace_file::finish(recording)?;
     let Some(renderer) = renderer else { return Ok(()) };
@@ -103,6 +106,7 @@ fn render_target(
     world: &mut World,
     renderer: &mut Renderer,
     settings: &RenderSettings,
+    recording: Option<&trace_file::Recording>,
 ) -> Result<serde_json::Value, Failure> {
     let (layer, layer_name) = job.layer.layer();
     // All but the last step before the first frame; that one belongs to the frame's own time.
@@ -114,6 +118,7 @@ fn render_target(
     for k in job.first..job.first + job.frames {
         let record = make_frame(world, renderer, settings, k, layer, job.picture.exposure, &mut canvas)?;
         let picture = canvas.picture(layer)?;
+        trace_file::add(recording, &record.stats.timeline);
         if k == job.first && record.stats.non_finite.0 > 0 {
             let (count, at) = record.stats.non_finite;
             note(format!("{}: {count} pixels were not finite and are black, the first at {at:?}", world.name));

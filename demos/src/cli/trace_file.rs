@@ -1,9 +1,10 @@
 //! `--trace FILE`: the renderer's spans as a chrome trace, for chrome://tracing, Perfetto or speedscope.
 //!
-//! One line of time a thread; a span begins ("B") and ends ("E") in microseconds since the recording began.
+//! One line of time a thread; a span begins ("B") and ends ("E") in microseconds since the recording began. The stages of
+//! the GPU lane have two lines more, one a side.
 
 use super::failure::Failure;
-use catoptra_render_hybrid::image_io;
+use catoptra_render_hybrid::{StageInterval, image_io};
 use serde_json::{Value, json};
 use std::{
     path::{Path, PathBuf},
@@ -15,6 +16,7 @@ use tracing::{Event, Metadata, Subscriber, span};
 /// A recording that goes on until it is written.
 pub struct Recording {
     file: PathBuf,
+    start: Instant,
     events: Arc<Mutex<Events>>,
 }
 
@@ -24,6 +26,7 @@ struct Events {
     /// Names of spans by number − 1.
     names: Vec<(usize, &'static str)>,
     threads: Vec<std::thread::ThreadId>,
+    stages: Vec<StageInterval>,
 }
 
 struct Entry {
@@ -45,10 +48,37 @@ struct Recorder {
 pub fn start(file: Option<&Path>) -> Result<Option<Recording>, Failure> {
     let Some(file) = file else { return Ok(None) };
     let events = Arc::new(Mutex::new(Events::default()));
-    let recorder = Recorder { start: Instant::now(), events: events.clone() };
+    let start = Instant::now();
+    let recorder = Recorder { start, events: events.clone() };
     tracing::subscriber::set_global_default(recorder)
         .map_err(|_| Failure::other("something records this process's spans already; --trace cannot"))?;
-    Ok(Some(Recording { file: file.to_path_buf(), events }))
+    Ok(Some(Recording { file: file.to_path_buf(), start, events }))
+}
+
+/// Adds the stages of a frame.
+pub fn add(recording: Option<&Recording>, stages: &[StageInterval]) {
+    if let Some(recording) = recording {
+        recording.events.lock().unwrap_or_else(PoisonError::into_inner).stages.extend_from_slice(stages);
+    }
+}
+
+/// A stage that began and ended ("X"), on the line of its side.
+fn stage(start: Instant, stage: &StageInterval) -> Value {
+    let since = |at: Instant| at.saturating_duration_since(start).as_secs_f64() * 1e6;
+    json!({
+        "name": stage.name,
+        "ph": "X",
+        "ts": since(stage.begin),
+        "dur": since(stage.end) - since(stage.begin),
+        "pid": 2,
+        "tid": u32::from(stage.on_gpu),
+    })
+}
+
+/// Names of the lines of both sides.
+fn side_names() -> [Value; 3] {
+    let name = |what: &str, tid: u32, name: &str| json!({ "name": what, "ph": "M", "pid": 2, "tid": tid, "args": { "name": name } });
+    [name("process_name", 0, "GPU lane"), name("thread_name", 0, "CPU"), name("thread_name", 1, "GPU")]
 }
 
 /// Writes the file of a recording.
@@ -56,9 +86,9 @@ pub fn start(file: Option<&Path>) -> Result<Option<Recording>, Failure> {
 /// # Errors
 /// The file system's reason.
 pub fn finish(recording: Option<Recording>) -> Result<(), Failure> {
-    let Some(Recording { file, events }) = recording else { return Ok(()) };
+    let Some(Recording { file, start, events }) = recording else { return Ok(()) };
     let events = events.lock().unwrap_or_else(PoisonError::into_inner);
-    let list: Vec<Value> = events
+    let mut list: Vec<Value> = events
         .list
         .iter()
         .map(|e| {
@@ -71,6 +101,10 @@ pub fn finish(recording: Option<Recording>) -> Result<(), Failure> {
             })
         })
         .collect();
+    if !events.stages.is_empty() {
+        list.extend(side_names());
+        list.extend(events.stages.iter().map(|s| stage(start, s)));
+    }
     let text = format!("{}\n", json!({ "traceEvents": list, "displayTimeUnit": "ms" }));
     Ok(image_io::write_atomically(&file, text.as_bytes())?)
 }

@@ -3,7 +3,7 @@
 use super::{
     device::Gpu,
     pipeline::{Slot, compute_pipeline, group, group_layout, linear_dispatch, pipeline_layout},
-    readback::Readback,
+    readback::{Mailbox, Readback},
     shader::{self, COMPACT_BLOCK},
     targets::PictureTargets,
 };
@@ -57,6 +57,18 @@ impl CompactPass {
             pass.set_pipeline(pipeline);
             pass.dispatch_workgroups(x, y, 1);
         }
+    }
+
+    /// Records that length and the first `likely` pixels of the list come back.
+    pub fn record_read(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        mailbox: &mut Mailbox,
+        targets: &PictureTargets,
+        likely: u64,
+    ) {
+        mailbox.buffer(encoder, &targets.blocks, block_count(targets) * 4, 4);
+        mailbox.buffer(encoder, &targets.pixels, 0, likely * 4);
     }
 
     /// The list of the last [`Self::record`]: its length first, then that many numbers.

@@ -103,6 +103,7 @@ pub(crate) struct Gpu {
     fault: Arc<Mutex<Option<String>>>,
     bytes_up: AtomicU64,
     bytes_down: AtomicU64,
+    pipelines: AtomicU64,
 }
 
 impl Gpu {
@@ -172,6 +173,7 @@ impl Gpu {
             fault: Arc::default(),
             bytes_up: AtomicU64::new(0),
             bytes_down: AtomicU64::new(0),
+            pipelines: AtomicU64::new(0),
         }
     }
 
@@ -207,6 +209,15 @@ impl Gpu {
         }
     }
 
+    /// Waits until a submission and all before it are done; what was submitted later goes on.
+    pub fn wait_for(&self, submission: &wgpu::SubmissionIndex) -> Result<(), RenderError> {
+        let wait = wgpu::PollType::Wait { submission_index: Some(submission.clone()), timeout: None };
+        match self.device.poll(wait) {
+            Ok(_) => Ok(()),
+            Err(error) => Err(RenderError::Gpu(error.to_string())),
+        }
+    }
+
     /// Copies to a buffer and counts the bytes.
     pub fn upload(&self, buffer: &wgpu::Buffer, offset: u64, bytes: &[u8]) {
         if !bytes.is_empty() {
@@ -221,6 +232,16 @@ impl Gpu {
 
     pub fn count_down(&self, bytes: u64) {
         self.bytes_down.fetch_add(bytes, Ordering::Relaxed);
+    }
+
+    /// A pipeline was made.
+    pub fn count_pipeline(&self) {
+        self.pipelines.fetch_add(1, Ordering::Relaxed);
+    }
+
+    /// Pipelines made so far.
+    pub fn pipelines(&self) -> u64 {
+        self.pipelines.load(Ordering::Relaxed)
     }
 
     pub fn reset_counters(&self) {

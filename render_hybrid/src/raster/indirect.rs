@@ -103,6 +103,18 @@ impl IndirectPass {
         }))
     }
 
+    /// Makes room for chunks of `vpls` VPLs that another pass writes, laid out as [`Self::upload`] does; (number of chunks, true
+    /// where the buffer was replaced, so that [`Self::bind`] must follow).
+    pub fn reserve(&mut self, gpu: &Gpu, vpls: u32) -> (u32, bool) {
+        let chunks = vpls.div_ceil(VPL_CHUNK);
+        (chunks, self.chunks.reserve(gpu, (self.stride * u64::from(chunks)).max(self.stride)))
+    }
+
+    /// The chunks, and bytes from one to the next.
+    pub fn chunks(&self) -> (&wgpu::Buffer, u64) {
+        (&self.chunks.buffer, self.stride)
+    }
+
     /// Uploads the VPLs that carry light; (number of chunks, true where the buffer was replaced, so that [`Self::bind`]
     /// must follow).
     pub fn upload(&mut self, gpu: &Gpu, vpls: &[Vpl], geometry_term_max: f32) -> (u32, bool) {

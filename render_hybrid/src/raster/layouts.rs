@@ -20,6 +20,9 @@ pub(crate) const PHYSICAL_BLENDED: u32 = 2;
 pub(crate) const PHYSICAL_REFLECTANCE: u32 = 4;
 pub(crate) const PHYSICAL_BY_REFLECTANCE: u32 = 8;
 pub(crate) const NO_TEXTURE: u32 = u32::MAX;
+/// A material's textures, in the order of [`texture_slots`].
+pub(crate) const SLOTS: [&str; 7] =
+    ["BASE_COLOR", "EMISSIVE", "NORMAL", "METALLIC_ROUGHNESS", "TRANSMISSION", "REFLECTANCE", "REFLECTANCE_STRENGTH"];
 pub(crate) const LIGHT_POINT: u32 = 0;
 pub(crate) const LIGHT_SPOT: u32 = 1;
 pub(crate) const LIGHT_DIRECTIONAL: u32 = 2;
@@ -221,7 +224,7 @@ pub(crate) struct MaterialData {
     pub reflectance: Vec3,
     pub physical: u32,
     pub physical_transmission: f32,
-    pub unused0: u32,
+    pub texture_slots: u32,
     pub unused1: u32,
     pub unused2: u32,
     pub reflectance_texture: TextureRefData,
@@ -259,13 +262,28 @@ impl MaterialData {
             reflectance: p.map_or(Vec3::ZERO, |p| p.reflectance),
             physical: p.map_or(0, physical_flags),
             physical_transmission: p.map_or(0.0, |p| p.transmission),
-            unused0: 0,
+            texture_slots: texture_slots(m),
             unused1: 0,
             unused2: 0,
             reflectance_texture: texture(&p.and_then(|p| p.reflectance_texture)),
             reflectance_strength_texture: texture(&p.and_then(|p| p.reflectance_strength_texture)),
         }
     }
+}
+
+/// Bit s: the material has texture s of [`SLOTS`].
+fn texture_slots(m: &Material) -> u32 {
+    let p = m.physical;
+    let there = [
+        m.base_color_texture.is_some(),
+        m.emissive_texture.is_some(),
+        m.normal_texture.is_some(),
+        p.is_some_and(|p| p.metallic_roughness_texture.is_some()),
+        p.is_some_and(|p| p.transmission_texture.is_some()),
+        p.is_some_and(|p| p.reflectance_texture.is_some()),
+        p.is_some_and(|p| p.reflectance_strength_texture.is_some()),
+    ];
+    there.iter().enumerate().map(|(s, there)| u32::from(*there) << s).sum()
 }
 
 fn physical_flags(p: Physical) -> u32 {
@@ -496,7 +514,7 @@ mod tests {
             reflectance,
             physical,
             physical_transmission,
-            unused0,
+            texture_slots,
             unused1,
             unused2,
             reflectance_texture,

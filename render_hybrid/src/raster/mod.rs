@@ -36,18 +36,18 @@ pub(crate) use host_view::HostView;
 
 use crate::{
     error::RenderError,
-    output::{Image, Layer},
+    output::{Image, Layer, StageInterval},
     settings::{GlassShadows, RenderSettings, Shadows},
     twin::{shadow::ShadowPlan, vpl::Vpl, vpl_maps::VplMaps},
 };
 use device::Gpu;
 use layouts::PackedLayer;
-use readback::Readback;
+use readback::{Mailbox, Readback, rows};
 use scene_buffers::SceneBuffers;
 use targets::{PictureTargets, ShadowTargets};
 use timer::StageTimer;
-pub use tracer::TracedRays;
 use tracer::{GpuTracer, TraceInputs};
+pub(crate) use tracer::{PhotonInputs, TracedCounts};
 
 /// Surfaces of all pixels, row by row from the top. Where nothing was met everything is 0 and `material` `u32::MAX`.
 #[derive(Clone, Debug, Default)]
@@ -86,6 +86,8 @@ pub(crate) struct RasterInputs<'a> {
     pub vpls: &'a [Vpl],
     /// 1/m²; +infinity: none.
     pub geometry_term_max: f32,
+    /// The tracer makes the VPLs, in place of `vpls`.
+    pub photons: Option<PhotonInputs<'a>>,
 }
 
 /// What one frame's passes need to know of each other.
@@ -96,12 +98,32 @@ struct FrameState {
     moments: bool,
 }
 
+/// What comes back with the passes of a frame.
+struct Mail {
+    /// Which of the two below [`GpuRaster::begin`] records.
+    wanted: (bool, bool),
+    /// Number of masked pixels, and as many of them as are likely.
+    masked: Mailbox,
+    likely: u64,
+    moments: Mailbox,
+    picture: Mailbox,
+    /// Number of masked pixels and the tracer's counters.
+    counts: Mailbox,
+    /// The timer's slot that comes with the picture.
+    slot: usize,
+}
+
 /// The GPU lane. Calls of one frame, in order: [`begin`](Self::begin), [`light`](Self::light),
 /// [`compose`](Self::compose); what is read back lies between them.
 ///
 /// All work is submitted and none is waited for, except by the `read_` functions.
 pub struct GpuRaster {
     gpu: Gpu,
+    /// Recorded and not submitted.
+    open: Option<wgpu::CommandEncoder>,
+    mail: Mail,
+    /// Every submission is waited for, so that stages can be timed apart.
+    one_by_one: bool,
     scene: SceneBuffers,
     moments: moments::MomentsPass,
     blur: blur::BlurPass,
@@ -162,6 +184,17 @@ impl GpuRaster {
         let (moments, blur, gbuffer, compact, direct, indirect, compose, present, layers, picture, shadows, scene) =
             parts;
         Ok(Self {
+            open: None,
+            mail: Mail {
+                wanted: (false, false),
+                masked: Mailbox::new(&gpu, "compact.staging"),
+                likely: 0,
+                moments: Mailbox::new(&gpu, "moments.staging"),
+                picture: Mailbox::new(&gpu, "compose.staging"),
+                counts: Mailbox::new(&gpu, "tracer.staging"),
+                slot: 0,
+            },
+            one_by_one: false,
             readback: Readback::new(&gpu),
             timer: StageTimer::new(&gpu),
             gpu,
@@ -210,6 +243,41 @@ impl GpuRaster {
         guard.scoped(|| work(self))
     }
 
+    /// Submits what was recorded; the answer tells when it is done.
+    fn submit(&mut self) -> Result<wgpu::SubmissionIndex, RenderError> {
+        let encoder = self.open.take().unwrap_or_else(|| self.gpu.encoder("frame"));
+        Ok(self.gpu.queue.submit([encoder.finish()]))
+    }
+
+    /// For measurements: the CPU waits for every submission, so that nothing runs at the same time as anything else.
+    #[doc(hidden)]
+    pub fn set_one_by_one(&mut self, on: bool) {
+        self.one_by_one = on;
+    }
+
+    /// True where [`Self::settle`] is asked for after every submission.
+    pub(crate) fn is_one_by_one(&self) -> bool {
+        self.one_by_one
+    }
+
+    /// Waits for all that was submitted.
+    pub(crate) fn settle(&mut self) -> Result<(), RenderError> {
+        self.step(|s| s.gpu.wait())
+    }
+
+    /// Which of list of masked pixels and shadow moments shall come back with the next [`Self::begin`]'s passes: reading them
+    /// then waits for nothing that was submitted later.
+    pub(crate) fn expect(&mut self, masked: bool, moments: bool) {
+        self.mail.wanted = (masked, moments);
+    }
+
+    /// Times of the passes from the next [`Self::begin`] on belong to a frame of their own, while the one before is still on
+    /// its way.
+    /// * `beside`: it is
+    pub(crate) fn begin_timing(&mut self, beside: bool) -> Result<(), RenderError> {
+        self.step(|s| s.timer.begin_frame(&s.gpu, beside))
+    }
+
     /// Sends what changed and submits shadow moments, G-buffer, material mask and the compaction of masked pixels.
     ///
     /// `scene` and `settings` are valid ([`RenderScene::validate`], [`RenderSettings::invalid`]).
@@ -223,6 +291,7 @@ impl GpuRaster {
         plan: &ShadowPlan,
     ) -> Result<(), RenderError> {
         self.frame = None;
+        self.open = None;
         self.gpu.reset_counters();
         self.step(|s| s.begin_inner(scene, settings, plan))
     }
@@ -251,28 +320,55 @@ impl GpuRaster {
         }
         self.bind();
 
-        let Self { gpu, scene, moments: moments_pass, blur, gbuffer, compact, shadows, picture, timer, .. } = self;
+        let Self {
+            gpu, open, scene, moments: moments_pass, blur, gbuffer, compact, shadows, picture, timer, mail, ..
+        } = self;
         let Some(bindings) = &self.bindings else { unreachable!("bind comes first") };
+        let encoder = open.get_or_insert_with(|| gpu.encoder("frame"));
         if moments {
-            let mut stage = timer.begin(gpu, "moments");
-            let clear_glass = settings.glass_shadows == GlassShadows::Clear;
-            moments_pass.record(gpu, &mut stage.encoder, scene, plan, shadows, settings.moments.filter, clear_glass);
-            for (kind, groups, used) in [
-                (&shadows.maps, &bindings.blur[0], plan.lights.iter().any(|l| l.count == 1)),
-                (&shadows.faces, &bindings.blur[1], plan.lights.iter().any(|l| l.count == 6)),
-            ] {
-                if used {
-                    blur.record(&mut stage.encoder, groups, kind);
+            timer.stage(gpu, encoder, "moments", |encoder| {
+                let clear_glass = settings.glass_shadows == GlassShadows::Clear;
+                moments_pass.record(gpu, encoder, scene, plan, shadows, settings.moments.filter, clear_glass);
+                for (kind, groups, used) in [
+                    (&shadows.maps, &bindings.blur[0], plan.lights.iter().any(|l| l.count == 1)),
+                    (&shadows.faces, &bindings.blur[1], plan.lights.iter().any(|l| l.count == 6)),
+                ] {
+                    if used {
+                        blur.record(encoder, groups, kind);
+                    }
                 }
-            }
-            timer.end(gpu, "moments", stage)?;
+            })?;
         }
-        let mut stage = timer.begin(gpu, "gbuffer");
-        gbuffer.record(&mut stage.encoder, scene, &bindings.gbuffer, picture);
-        timer.end(gpu, "gbuffer", stage)?;
-        let mut stage = timer.begin(gpu, "compact");
-        compact.record(&mut stage.encoder, &bindings.compact, picture);
-        timer.end(gpu, "compact", stage)?;
+        timer.stage(gpu, encoder, "gbuffer", |encoder| gbuffer.record(encoder, scene, &bindings.gbuffer, picture))?;
+        timer.stage(gpu, encoder, "compact", |encoder| compact.record(encoder, &bindings.compact, picture))?;
+        // What the CPU waits for goes with the passes that make it; what nobody fetched is gone.
+        mail.masked.open(gpu, 0);
+        mail.moments.open(gpu, 0);
+        let wanted = (mail.wanted.0, mail.wanted.1 && moments);
+        if wanted.0 || wanted.1 {
+            timer.stage(gpu, encoder, "send back", |encoder| {
+                if wanted.0 {
+                    let pixels = u64::from(settings.width) * u64::from(settings.height);
+                    mail.likely = (mail.likely + mail.likely / 4 + 4096).min(pixels);
+                    mail.masked.open(gpu, 4 + 4 * mail.likely);
+                    compact.record_read(encoder, &mut mail.masked, picture, mail.likely);
+                }
+                if wanted.1 {
+                    let maps = moment_maps(plan, shadows);
+                    mail.moments.open(gpu, maps.iter().map(|(texture, _)| Mailbox::texture_bytes(texture)).sum());
+                    for (texture, layer) in maps {
+                        mail.moments.texture(encoder, texture, layer);
+                    }
+                }
+            })?;
+        }
+        let submission = self.submit()?;
+        if wanted.0 {
+            self.mail.masked.sent(&submission);
+        }
+        if wanted.1 {
+            self.mail.moments.sent(&submission);
+        }
         self.frame = Some(FrameState { settings: *settings, moments });
         Ok(())
     }
@@ -311,7 +407,24 @@ impl GpuRaster {
     /// [`RenderError::Gpu`]
     pub fn read_masked_pixels(&mut self) -> Result<Vec<u32>, RenderError> {
         self.begun()?;
-        self.step(|s| s.compact.read(&s.gpu, &mut s.readback, &s.picture))
+        self.step(|s| {
+            if !s.mail.masked.is_full() {
+                return s.compact.read(&s.gpu, &mut s.readback, &s.picture);
+            }
+            let likely = s.mail.likely as usize;
+            let (count, mut list) = s.mail.masked.read(&s.gpu, |data| {
+                let words: Vec<u32> = bytemuck::pod_collect_to_vec(data);
+                let count = words[0] as usize;
+                (count, words[1..1 + count.min(likely)].to_vec())
+            })?;
+            if count > likely {
+                // More than was likely: the rest, once.
+                let (from, bytes) = (4 * likely as u64, 4 * (count - likely) as u64);
+                list.extend(s.readback.buffer::<u32>(&s.gpu, &s.picture.pixels, from, bytes)?);
+            }
+            s.mail.likely = count as u64;
+            Ok(list)
+        })
     }
 
     /// Blurred moments of every view of the plan, row 0 on top; empty where [`Shadows::Moments`] is not chosen.
@@ -319,19 +432,109 @@ impl GpuRaster {
     /// # Errors
     /// [`RenderError::Gpu`]
     pub fn read_moments(&mut self) -> Result<Vec<Vec<[f32; 4]>>, RenderError> {
+        let mut out = Vec::new();
+        self.read_moments_into(&mut out)?;
+        Ok(out)
+    }
+
+    /// [`Self::read_moments`] into memory that is used again.
+    pub(crate) fn read_moments_into(&mut self, out: &mut Vec<Vec<[f32; 4]>>) -> Result<(), RenderError> {
         if !self.begun()?.moments {
-            return Ok(Vec::new());
+            out.clear();
+            return Ok(());
         }
         self.step(|s| {
-            let mut out = Vec::with_capacity(s.plan.views.len());
-            for (light, first) in s.plan.lights.iter().zip(scene_buffers::first_layers(&s.plan)) {
-                let array = if light.count == 6 { &s.shadows.faces } else { &s.shadows.maps };
-                for face in 0..light.count {
-                    out.push(s.readback.texture(&s.gpu, &array.moments.texture, first + face)?);
+            let maps = moment_maps(&s.plan, &s.shadows);
+            out.resize_with(maps.len(), Vec::new);
+            if !s.mail.moments.is_full() {
+                for (map, (texture, layer)) in out.iter_mut().zip(maps) {
+                    *map = s.readback.texture(&s.gpu, texture, layer)?;
                 }
+                return Ok(());
             }
-            Ok(out)
+            s.mail.moments.read(&s.gpu, |data| {
+                let mut at = 0;
+                for (map, (texture, _)) in out.iter_mut().zip(maps) {
+                    let end = at + Mailbox::texture_bytes(texture) as usize;
+                    let width = texture.width() as usize;
+                    map.resize(width * texture.height() as usize, [0.0; 4]);
+                    for (to, from) in map.chunks_exact_mut(width).zip(rows(&data[at..end], texture)) {
+                        bytemuck::cast_slice_mut::<_, u8>(to).copy_from_slice(from);
+                    }
+                    at = end;
+                }
+            })
         })
+    }
+
+    /// Submits what is left of the frame. With `read_back` the final picture comes with it, to be read by
+    /// [`Self::read_picture`].
+    /// * `slot`: whose times come, too ([`StageTimer`])
+    pub(crate) fn finish(&mut self, read_back: bool, slot: usize) -> Result<(), RenderError> {
+        self.step(|s| {
+            let Self { gpu, open, mail, timer, picture, tracer, compact, .. } = s;
+            let encoder = open.get_or_insert_with(|| gpu.encoder("frame"));
+            if read_back {
+                timer.stage(gpu, encoder, "send picture", |encoder| {
+                    mail.picture.open(gpu, Mailbox::texture_bytes(&picture.last.texture));
+                    mail.picture.texture(encoder, &picture.last.texture, 0);
+                })?;
+            }
+            timer.resolve(gpu, encoder, slot);
+            let counted = tracer.as_ref().filter(|_| read_back);
+            if let Some(tracer) = counted {
+                mail.counts.open(gpu, 4 + tracer.read_bytes());
+                compact.record_read(encoder, &mut mail.counts, picture, 0);
+                tracer.record_read(encoder, &mut mail.counts);
+            }
+            let counted = counted.is_some();
+            let submission = s.submit()?;
+            s.timer.sent(slot, &submission);
+            s.mail.slot = slot;
+            if read_back {
+                s.mail.picture.sent(&submission);
+            }
+            if counted {
+                s.mail.counts.sent(&submission);
+            }
+            Ok(())
+        })
+    }
+
+    /// Submits what was recorded.
+    pub(crate) fn submit_recorded(&mut self) -> Result<(), RenderError> {
+        self.step(|s| s.submit().map(|_| ()))
+    }
+
+    /// Waits until [`Self::read_picture`] has nothing to wait for.
+    pub(crate) fn wait_for_picture(&mut self) -> Result<(), RenderError> {
+        self.step(|s| s.mail.picture.wait(&s.gpu))
+    }
+
+    /// The timer's slot of the frame that was begun, and of the other.
+    pub(crate) fn timing_slots(&self) -> (usize, usize) {
+        (self.timer.slot(), self.timer.slot() ^ 1)
+    }
+
+    /// The picture that [`Self::finish`] sent. Waits for it and for nothing behind it.
+    pub(crate) fn read_picture(&mut self, image: &mut Image) -> Result<(), RenderError> {
+        self.step(|s| {
+            let texture = &s.picture.last.texture;
+            image.resize(texture.width(), texture.height());
+            s.mail.picture.read(&s.gpu, |data| {
+                let width = texture.width() as usize;
+                for (to, from) in image.pixels.chunks_exact_mut(width).zip(rows(data, texture)) {
+                    for (to, from) in to.iter_mut().zip(bytemuck::cast_slice::<u8, f32>(from).chunks_exact(4)) {
+                        to.copy_from_slice(&from[..3]);
+                    }
+                }
+            })
+        })
+    }
+
+    /// Intervals of the stages whose times [`Self::finish`] sent.
+    pub(crate) fn read_times(&mut self, out: &mut Vec<StageInterval>) -> Result<(), RenderError> {
+        self.step(|s| s.timer.take(&s.gpu, s.mail.slot, out))
     }
 
     fn packed(&mut self, layer: PackedLayer) -> Result<Vec<[f32; 4]>, RenderError> {
@@ -395,6 +598,18 @@ impl GpuRaster {
         light_visibility: Option<&[Vec<f32>]>,
         indirect: Option<&[[f32; 3]]>,
     ) -> Result<(), RenderError> {
+        self.record_light(vpls, geometry_term_max, light_visibility, indirect)?;
+        self.step(|s| s.submit().map(|_| ()))
+    }
+
+    /// [`Self::light`], to be submitted with what follows.
+    pub(crate) fn record_light(
+        &mut self,
+        vpls: &[Vpl],
+        geometry_term_max: f32,
+        light_visibility: Option<&[Vec<f32>]>,
+        indirect: Option<&[[f32; 3]]>,
+    ) -> Result<(), RenderError> {
         let frame = self.begun()?;
         self.step(|s| s.light_inner(frame, vpls, geometry_term_max, light_visibility, indirect))
     }
@@ -416,27 +631,36 @@ impl GpuRaster {
         }
         let shadows = if frame.moments { Shadows::Moments } else { Shadows::Off };
         self.direct.set_options(gpu, shadows, light_visibility.is_some(), &frame.settings.moments);
-        let mut chunks = 0;
+        let (mut chunks, mut emptied) = (0, false);
         match indirect {
             Some(layer) => self.indirect.upload_layer(gpu, &self.picture, layer)?,
             None => {
-                let (count, replaced) = self.indirect.upload(gpu, vpls, geometry_term_max);
-                chunks = count;
+                let made = self.tracer.as_ref().filter(|_| vpls.is_empty()).and_then(GpuTracer::made_vpls);
+                let (count, replaced) = match made {
+                    Some(most) => self.indirect.reserve(gpu, most),
+                    None => self.indirect.upload(gpu, vpls, geometry_term_max),
+                };
+                (chunks, emptied) = (count, replaced);
                 if let (true, Some(bindings)) = (replaced, &mut self.bindings) {
                     bindings.indirect = self.indirect.bind(gpu, &self.picture);
                 }
             }
         }
 
-        let Self { gpu, scene, direct, indirect: indirect_pass, picture, timer, .. } = self;
+        let Self { gpu, open, scene, direct, indirect: indirect_pass, picture, timer, tracer, .. } = self;
         let Some(bindings) = &self.bindings else { unreachable!("a frame was begun") };
-        let mut stage = timer.begin(gpu, "direct");
-        direct.record(&mut stage.encoder, scene, &bindings.direct, picture);
-        timer.end(gpu, "direct", stage)?;
+        let encoder = open.get_or_insert_with(|| gpu.encoder("frame"));
+        if let Some(tracer) =
+            tracer.as_mut().filter(|t| indirect.is_none() && vpls.is_empty() && t.made_vpls().is_some())
+        {
+            let (chunks, stride) = indirect_pass.chunks();
+            timer.stage(gpu, encoder, "photons", |encoder| tracer.record_photons(encoder, chunks, stride, emptied))?;
+        }
+        timer.stage(gpu, encoder, "direct", |encoder| direct.record(encoder, scene, &bindings.direct, picture))?;
         if indirect.is_none() {
-            let mut stage = timer.begin(gpu, "indirect");
-            indirect_pass.record(&mut stage.encoder, scene, &bindings.indirect, picture, chunks);
-            timer.end(gpu, "indirect", stage)?;
+            timer.stage(gpu, encoder, "indirect", |encoder| {
+                indirect_pass.record(encoder, scene, &bindings.indirect, picture, chunks);
+            })?;
         }
         Ok(())
     }
@@ -447,16 +671,24 @@ impl GpuRaster {
     /// # Errors
     /// [`RenderError::Settings`] where a pixel lies outside the picture; [`RenderError::Gpu`].
     pub fn compose(&mut self, traced: &[(u32, [f32; 3])]) -> Result<(), RenderError> {
+        self.record_compose(traced)?;
+        self.step(|s| s.submit().map(|_| ()))
+    }
+
+    /// [`Self::compose`], to be submitted with what follows.
+    pub(crate) fn record_compose(&mut self, traced: &[(u32, [f32; 3])]) -> Result<(), RenderError> {
         self.begun()?;
         self.step(|s| {
             let replaced = s.compose.reserve(&s.gpu, traced.len());
             if let (true, Some(bindings)) = (replaced, &mut s.bindings) {
                 bindings.compose = s.compose.bind(&s.gpu, &s.picture);
             }
-            let Some(bindings) = &s.bindings else { unreachable!("a frame was begun") };
-            let mut stage = s.timer.begin(&s.gpu, "compose");
-            s.compose.record(&s.gpu, &mut stage.encoder, &bindings.compose, &s.picture, traced)?;
-            s.timer.end(&s.gpu, "compose", stage)
+            let Self { gpu, open, compose, bindings, picture, timer, .. } = s;
+            let Some(bindings) = bindings else { unreachable!("a frame was begun") };
+            let encoder = open.get_or_insert_with(|| gpu.encoder("frame"));
+            timer.stage(gpu, encoder, "compose", |encoder| {
+                compose.record(gpu, encoder, &bindings.compose, picture, traced)
+            })?
         })
     }
 
@@ -537,12 +769,43 @@ impl GpuRaster {
         self.timer.enabled = enabled;
     }
 
-    /// Milliseconds of `moments`, `gbuffer`, `compact`, `direct`, `indirect` and `compose` since the last call; empty where
-    /// [`Self::set_timing`] is off. Waits for the GPU.
+    /// Milliseconds of `moments`, `gbuffer`, `compact`, `direct`, `indirect` and `compose` since the last call or
+    /// [`Self::begin`]; empty where [`Self::set_timing`] is off. Waits for the GPU.
     ///
     /// # Errors
     /// [`RenderError::Gpu`]
     pub fn take_pass_times(&mut self) -> Result<Vec<(&'static str, f64)>, RenderError> {
-        self.step(|s| s.timer.take(&s.gpu, &mut s.readback))
+        let slot = self.timer.slot();
+        let mut stages = Vec::new();
+        self.step(|s| {
+            let encoder = s.open.get_or_insert_with(|| s.gpu.encoder("timer"));
+            s.timer.resolve(&s.gpu, encoder, slot);
+            let submission = s.submit()?;
+            s.timer.sent(slot, &submission);
+            s.timer.take(&s.gpu, slot, &mut stages)
+        })?;
+        let mut out: Vec<(&'static str, f64)> = Vec::new();
+        for stage in stages {
+            match out.iter_mut().find(|(name, _)| *name == stage.name) {
+                Some(entry) => entry.1 += stage.milliseconds(),
+                None => out.push((stage.name, stage.milliseconds())),
+            }
+        }
+        Ok(out)
     }
+
+    /// Pipelines made so far.
+    pub(crate) fn pipelines(&self) -> u64 {
+        self.gpu.pipelines()
+    }
+}
+
+/// Texture and layer of each view of a plan.
+fn moment_maps<'a>(plan: &ShadowPlan, shadows: &'a ShadowTargets) -> Vec<(&'a wgpu::Texture, u32)> {
+    let mut out = Vec::with_capacity(plan.views.len());
+    for (light, first) in plan.lights.iter().zip(scene_buffers::first_layers(plan)) {
+        let array = if light.count == 6 { &shadows.faces } else { &shadows.maps };
+        out.extend((0..light.count).map(|face| (&array.moments.texture, first + face)));
+    }
+    out
 }

@@ -103,6 +103,7 @@ pub(crate) fn draw_pipeline(
     depth: bool,
 ) -> wgpu::RenderPipeline {
     let module = shader::module(&gpu.device, pass);
+    gpu.count_pipeline();
     gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some(pass),
         layout: Some(layout),
@@ -139,6 +140,7 @@ pub(crate) fn compute_pipeline(
     layout: &wgpu::PipelineLayout,
     entry_point: &str,
 ) -> wgpu::ComputePipeline {
+    gpu.count_pipeline();
     gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
         label: Some(entry_point),
         layout: Some(layout),

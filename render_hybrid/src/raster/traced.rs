@@ -1,6 +1,9 @@
 //! The lane's tracer: mirrors and glass of a frame without a read-back.
 
-use super::{GpuRaster, RasterInputs, TraceInputs, TracedRays, tracer::GpuTracer};
+use super::{
+    GpuRaster, RasterInputs, TraceInputs,
+    tracer::{GpuTracer, TracedCounts},
+};
 use crate::{error::RenderError, settings::Tracer};
 
 impl GpuRaster {
@@ -23,6 +26,16 @@ impl GpuRaster {
         self.tracer.as_ref().map_or(Tracer::Cpu, |t| t.kind)
     }
 
+    /// True where the tracer makes VPLs, too.
+    pub(crate) fn has_photons(&self) -> bool {
+        self.tracer.as_ref().is_some_and(GpuTracer::has_photons)
+    }
+
+    /// The VPLs of the frame are those that the GPU had made before.
+    pub(crate) fn kept_photons(&self) -> bool {
+        self.tracer.as_ref().is_some_and(GpuTracer::kept_photons)
+    }
+
     /// What keeps this device from running a tracer, in words; `None`: nothing.
     pub fn tracer_missing(&self, kind: Tracer) -> Option<String> {
         super::tracer::missing(kind, &self.gpu.device)
@@ -36,59 +49,67 @@ impl GpuRaster {
         let moments = self.begun()?.moments;
         self.step(|s| {
             let Some(tracer) = &mut s.tracer else { return Err(RenderError::Gpu("no tracer was made".into())) };
-            let RasterInputs { scene, accel, settings, vpls, geometry_term_max } = *inputs;
+            let RasterInputs { scene, accel, settings, vpls, geometry_term_max, photons } = *inputs;
             // A set of VPLs of its own has no maps.
             let few = settings.vpl.is_some_and(|v| v.mirrored > 0);
             let map_size = if few { 0 } else { s.indirect.maps().1 };
             let plan = &s.plan;
-            let inputs = TraceInputs { scene, accel, settings, plan, moments, vpls, geometry_term_max, map_size };
+            let chunk_stride = s.indirect.chunks().1;
+            let inputs = TraceInputs {
+                scene,
+                accel,
+                settings,
+                plan,
+                moments,
+                vpls,
+                geometry_term_max,
+                map_size,
+                photons,
+                chunk_stride,
+            };
             tracer.prepare(&s.gpu, &inputs, s.scene.uniforms())
         })
     }
 
-    /// Submits the traced layer; after [`Self::prepare_trace`].
+    /// Records the traced layer; after [`Self::prepare_trace`].
     ///
     /// # Errors
     /// [`RenderError::Gpu`]
     pub(crate) fn trace(&mut self) -> Result<(), RenderError> {
         self.begun()?;
         self.step(|s| {
-            let Self { tracer: Some(tracer), gpu, timer, picture, shadows, indirect, .. } = s else {
+            let Self { tracer: Some(tracer), gpu, open, timer, picture, shadows, indirect, .. } = s else {
                 return Err(RenderError::Gpu("no tracer was made".into()));
             };
-            let mut stage = timer.begin(gpu, "traced");
-            tracer.record(gpu, &mut stage.encoder, picture, shadows, indirect.maps().0);
-            timer.end(gpu, "traced", stage)
+            let encoder = open.get_or_insert_with(|| gpu.encoder("frame"));
+            timer.stage(gpu, encoder, "traced", |encoder| {
+                tracer.record(gpu, encoder, picture, shadows, indirect.maps().0);
+            })
         })
     }
 
-    /// Submits final = direct + indirect + traced with the layer of [`Self::trace`].
+    /// Records final = direct + indirect + traced with the layer of [`Self::trace`].
     ///
     /// # Errors
     /// [`RenderError::Gpu`]
     pub(crate) fn compose_traced(&mut self) -> Result<(), RenderError> {
         self.begun()?;
         self.step(|s| {
-            let Some(bindings) = &s.bindings else { unreachable!("a frame was begun") };
-            let mut stage = s.timer.begin(&s.gpu, "compose");
-            s.compose.record_sum(&mut stage.encoder, &bindings.compose, &s.picture);
-            s.timer.end(&s.gpu, "compose", stage)
+            let Self { gpu, open, compose, bindings, picture, timer, .. } = s;
+            let Some(bindings) = bindings else { unreachable!("a frame was begun") };
+            let encoder = open.get_or_insert_with(|| gpu.encoder("frame"));
+            timer.stage(gpu, encoder, "compose", |encoder| compose.record_sum(encoder, &bindings.compose, picture))
         })
     }
 
-    /// Number of masked pixels, and the tracer's rays where it counts them. Waits for the GPU.
+    /// Number of masked pixels and the tracer's counters, which came with the picture of [`Self::finish`].
     ///
     /// # Errors
     /// [`RenderError::Gpu`]
-    pub(crate) fn read_trace_counts(&mut self) -> Result<(u64, Option<TracedRays>), RenderError> {
-        self.begun()?;
+    pub(crate) fn read_trace_counts(&mut self) -> Result<TracedCounts, RenderError> {
         self.step(|s| {
-            let count = s.compact.read_count(&s.gpu, &mut s.readback, &s.picture)?;
-            let rays = match &s.tracer {
-                Some(tracer) => tracer.read_rays(&s.gpu, &mut s.readback)?,
-                None => None,
-            };
-            Ok((u64::from(count), rays))
+            let words: Vec<u32> = s.mail.counts.read(&s.gpu, bytemuck::pod_collect_to_vec)?;
+            Ok(TracedCounts::of(&words))
         })
     }
 }

@@ -3,7 +3,7 @@
 #import shared/camera
 #import shared/triangle
 #import shared/octahedral
-#import shared/texture
+#import shared/sample
 #import shared/look
 
 @group(0) @binding(0) var<uniform> frame: Frame;
@@ -37,83 +37,43 @@ fn attribute3(vertices: vec3u, offset: u32, weights: vec3f) -> vec3f {
         + vec3f(attributes[a.z], attributes[a.z + 1u], attributes[a.z + 2u]) * weights.z;
 }
 
-fn attribute2(vertices: vec3u, offset: u32, weights: vec3f) -> vec2f {
-    let a = vertices * ATTRIBUTE_STRIDE + offset;
-    return vec2f(attributes[a.x], attributes[a.x + 1u]) * weights.x
-        + vec2f(attributes[a.y], attributes[a.y + 1u]) * weights.y
-        + vec2f(attributes[a.z], attributes[a.z + 1u]) * weights.z;
+fn texel_at(i: u32) -> u32 {
+    return texels[i];
 }
 
-fn decode_channel(byte: u32, srgb: bool) -> f32 {
-    if srgb {
-        // The CPU's own table: both lanes decode to the same bits.
-        return srgb_table[byte >> 2u][byte & 3u];
-    }
-    return f32(byte) / 255.0;
+fn srgb_value(byte: u32) -> f32 {
+    return srgb_table[byte >> 2u][byte & 3u];
 }
 
-fn texel_linear(index: u32, srgb: bool) -> vec4f {
-    let t = texels[index];
-    return vec4f(
-        decode_channel(t & 255u, srgb),
-        decode_channel((t >> 8u) & 255u, srgb),
-        decode_channel((t >> 16u) & 255u, srgb),
-        f32(t >> 24u) / 255.0,
-    );
-}
-
-fn sample_level(r: TextureRef, uv: vec2f) -> vec4f {
-    let srgb = (r.flags & TEXTURE_SRGB) != 0u;
-    let f = texture_footprint(r, uv);
-    let t = f.texels + r.first_texel;
-    let top = texel_linear(t.x, srgb) * (1.0 - f.fraction.x) + texel_linear(t.y, srgb) * f.fraction.x;
-    let bottom = texel_linear(t.z, srgb) * (1.0 - f.fraction.x) + texel_linear(t.w, srgb) * f.fraction.x;
-    return top * (1.0 - f.fraction.y) + bottom * f.fraction.y;
-}
-
-// Twin: engine/src/texture.rs, Texture::sample_lod.
-fn sample_texture(r: TextureRef, uv: vec2f, wanted: f32) -> vec4f {
-    if wanted <= 0.0 {
-        return sample_level(r, uv);
-    }
-    let lod = min(wanted, f32(texture_last_level(r)));
-    if (r.flags & TEXTURE_MIP_LINEAR) != 0u {
-        let low = floor(lod);
-        let fine = sample_level(texture_level(r, u32(low)), uv);
-        if lod == low {
-            return fine;
+fn material_texture(material: u32, slot: u32) -> TextureRef {
+    switch slot {
+        case SLOT_BASE_COLOR: {
+            return materials[material].base_color_texture;
         }
-        return fine * (1.0 - (lod - low)) + sample_level(texture_level(r, u32(low) + 1u), uv) * (lod - low);
+        case SLOT_EMISSIVE: {
+            return materials[material].emissive_texture;
+        }
+        case SLOT_NORMAL: {
+            return materials[material].normal_texture;
+        }
+        case SLOT_METALLIC_ROUGHNESS: {
+            return materials[material].metallic_roughness_texture;
+        }
+        case SLOT_TRANSMISSION: {
+            return materials[material].transmission_texture;
+        }
+        case SLOT_REFLECTANCE: {
+            return materials[material].reflectance_texture;
+        }
+        default: {
+            return materials[material].reflectance_strength_texture;
+        }
     }
-    let level = select(0.0, floor(lod + 0.5), (r.flags & TEXTURE_MIP_NEAREST) != 0u);
-    return sample_level(texture_level(r, u32(level)), uv);
 }
 
-// Where a pixel meets a triangle, as far as textures need it.
-struct Seen {
-    vertices: vec3u,
-    weights: vec3f,
-    // Square metres of surface that the pixel covers.
-    footprint: f32,
-    area_world: f32,
-}
-
-fn uv_offset(r: TextureRef) -> u32 {
-    return select(ATTRIBUTE_UV0, ATTRIBUTE_UV1, (r.flags & TEXTURE_UV1) != 0u);
-}
-
-// White where there is no texture.
-fn textured(r: TextureRef, seen: Seen) -> vec4f {
-    if r.first_texel == NO_TEXTURE {
-        return vec4f(1.0);
-    }
-    let offset = uv_offset(r);
-    let uv0 = attribute2(seen.vertices, offset, vec3f(1.0, 0.0, 0.0));
-    let d1 = attribute2(seen.vertices, offset, vec3f(0.0, 1.0, 0.0)) - uv0;
-    let d2 = attribute2(seen.vertices, offset, vec3f(0.0, 0.0, 1.0)) - uv0;
-    let per_area = abs(d1.x * d2.y - d1.y * d2.x) / max(seen.area_world, MIN_POSITIVE);
-    let lod = texture_lod(r, per_area, seen.footprint);
-    return sample_texture(r, attribute2(seen.vertices, offset, seen.weights), lod);
+fn corner_uv(r: TextureRef, vertex: u32) -> vec2f {
+    let at = vertex * ATTRIBUTE_STRIDE + select(ATTRIBUTE_UV0, ATTRIBUTE_UV1, (r.flags & TEXTURE_UV1) != 0u);
+    return vec2f(attributes[at], attributes[at + 1u]);
 }
 
 // Twin: trace/surface.rs, PixelCone.
@@ -167,19 +127,15 @@ fn resolve(@builtin(global_invocation_id) id: vec3u) {
     let flipped = dot(n_shading, n_geometric) < 0.0;
     let material = materials[instance.material];
     let width = pixel_width(distance(ray.origin, point_world));
-    let seen = Seen(
+    let seen = Textured(
         vertices,
         weights,
         width * width / max(abs(dot(n_geometric, ray.direction)), 1e-3),
         length(cross(direction_world_from_object(instance, e1), direction_world_from_object(instance, e2))),
     );
-    let map = material.normal_texture;
-    if map.first_texel != NO_TEXTURE {
-        let offset = uv_offset(map);
-        let uv0 = attribute2(vertices, offset, vec3f(1.0, 0.0, 0.0));
-        let duv1 = attribute2(vertices, offset, vec3f(0.0, 1.0, 0.0)) - uv0;
-        let duv2 = attribute2(vertices, offset, vec3f(0.0, 0.0, 1.0)) - uv0;
-        var frame_object = tangents(e1 * scale, e2 * scale, duv1, duv2);
+    let texel = surface_texels(instance.material, material.texture_slots, seen);
+    if (material.texture_slots & (1u << SLOT_NORMAL)) != 0u {
+        var frame_object = tangents(e1 * scale, e2 * scale, texel.normal_duv1, texel.normal_duv2);
         let tangent = attribute3(vertices, ATTRIBUTE_TANGENT, weights);
         if any(tangent != vec3f(0.0)) {
             let handedness = dot(weights, vec3f(
@@ -194,7 +150,7 @@ fn resolve(@builtin(global_invocation_id) id: vec3u) {
             n_shading,
             direction_world_from_object(instance, frame_object.along_u),
             direction_world_from_object(instance, frame_object.along_v),
-            textured(map, seen).xyz,
+            texel.normal,
             material.normal_scale,
         );
     }
@@ -202,30 +158,27 @@ fn resolve(@builtin(global_invocation_id) id: vec3u) {
         n_shading = -n_shading;
     }
 
-    let texel = textured(material.base_color_texture, seen);
-    var base_color = material.base_color * texel.xyz * attribute3(vertices, ATTRIBUTE_COLOR, weights);
-    var emission = material.emissive * textured(material.emissive_texture, seen).xyz;
+    var base_color = material.base_color * texel.base_color.xyz * attribute3(vertices, ATTRIBUTE_COLOR, weights);
+    var emission = material.emissive * texel.emissive;
     var place = PhysicalPlace(0.0, 0.0, 0.0, 1.0);
     var reflectance = material.reflectance;
     var look = Look(vec3f(0.0), 0.0, 1.0, material.mirror, material.transmission);
     if (material.physical & PHYSICAL) != 0u {
-        let metal = textured(material.metallic_roughness_texture, seen);
-        place.metallic = material.metallic * metal.z;
-        place.roughness = material.roughness * metal.y;
-        place.transmission = material.physical_transmission * textured(material.transmission_texture, seen).x;
+        place.metallic = material.metallic * texel.metallic_roughness.z;
+        place.roughness = material.roughness * texel.metallic_roughness.y;
+        place.transmission = material.physical_transmission * texel.transmission;
         if (material.physical & PHYSICAL_BLENDED) != 0u {
             let alpha = vec3f(
                 attributes[vertices.x * ATTRIBUTE_STRIDE + ATTRIBUTE_ALPHA],
                 attributes[vertices.y * ATTRIBUTE_STRIDE + ATTRIBUTE_ALPHA],
                 attributes[vertices.z * ATTRIBUTE_STRIDE + ATTRIBUTE_ALPHA],
             );
-            place.coverage = clamp(material.alpha * texel.w * dot(weights, alpha), 0.0, 1.0);
+            place.coverage = clamp(material.alpha * texel.base_color.w * dot(weights, alpha), 0.0, 1.0);
         }
         if (material.physical & PHYSICAL_REFLECTANCE) != 0u {
-            let sheen = textured(material.reflectance_texture, seen);
-            reflectance *= sheen.xyz * textured(material.reflectance_strength_texture, seen).w;
+            reflectance *= texel.reflectance.xyz * texel.reflectance_strength;
             if (material.physical & PHYSICAL_BY_REFLECTANCE) != 0u {
-                place.roughness = 1.0 - (1.0 - place.roughness) * sheen.w;
+                place.roughness = 1.0 - (1.0 - place.roughness) * texel.reflectance.w;
             }
         }
         if (material.physical & PHYSICAL_BY_REFLECTANCE) != 0u {

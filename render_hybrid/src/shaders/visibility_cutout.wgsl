@@ -1,6 +1,6 @@
 // visibility.wgsl for surfaces with holes. Twin: accel/cutout.rs, Cutouts::is_hole.
 #import shared/camera
-#import shared/texture
+#import shared/cutout
 
 @group(0) @binding(0) var<uniform> frame: Frame;
 @group(0) @binding(1) var<storage, read> instances: array<Instance>;
@@ -9,6 +9,10 @@
 @group(0) @binding(4) var<storage, read> attributes: array<f32>;
 @group(0) @binding(5) var<storage, read> indices: array<u32>;
 @group(0) @binding(6) var<storage, read> texels: array<u32>;
+
+fn texel_at(i: u32) -> u32 {
+    return texels[i];
+}
 
 struct Varyings {
     @builtin(position) position_clip: vec4f,
@@ -25,29 +29,19 @@ fn vertex(@builtin(vertex_index) corner: u32, @builtin(instance_index) instance_
     let at = 3u * vertex_id;
     let point_world =
         point_world_from_object(instance, vec3f(positions[at], positions[at + 1u], positions[at + 2u]));
-    let a = vertex_id * ATTRIBUTE_STRIDE;
-    let flags = materials[instance.material].base_color_texture.flags;
-    let uv = a + select(ATTRIBUTE_UV0, ATTRIBUTE_UV1, (flags & TEXTURE_UV1) != 0u);
+    let uv = cutout_uv(materials[instance.material], vertex_id);
     return Varyings(
         clip_from_world(frame, point_world),
         instance_id,
         corner / 3u,
         vec2f(attributes[uv], attributes[uv + 1u]),
-        attributes[a + ATTRIBUTE_ALPHA],
+        attributes[vertex_id * ATTRIBUTE_STRIDE + ATTRIBUTE_ALPHA],
     );
 }
 
 @fragment
 fn fragment(in: Varyings) -> @location(0) vec2u {
-    let material = materials[instances[in.instance_id].material];
-    var alpha = material.alpha * in.alpha;
-    let r = material.base_color_texture;
-    if r.first_texel != NO_TEXTURE {
-        let f = texture_footprint(r, in.uv);
-        let t = f.texels + r.first_texel;
-        alpha *= filtered_alpha(vec4u(texels[t.x], texels[t.y], texels[t.z], texels[t.w]), f.fraction);
-    }
-    if alpha < material.alpha_cutoff {
+    if is_cut(materials[instances[in.instance_id].material], in.uv, in.alpha) {
         discard;
     }
     return vec2u(in.instance_id + 1u, in.primitive_id);

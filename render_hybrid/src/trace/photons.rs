@@ -48,6 +48,32 @@ pub struct Photons {
     pub rays: u64,
 }
 
+/// Where light paths begin and which way they turn: all that a tracer of them needs beside the scene.
+#[derive(Clone, Debug, Default)]
+pub struct LightPaths {
+    /// One a path.
+    pub starts: Vec<PathStart>,
+    /// Points of the unit disc, for [`sampling::cosine_direction`]: bounce b of paths with number i at i · bounces + b.
+    pub samples: Vec<[f32; 2]>,
+    /// Most diffuse reflections of a path.
+    pub bounces: u32,
+    /// Most VPLs of a path.
+    pub slots_a_path: u32,
+}
+
+/// The start of one path.
+#[derive(Clone, Copy, Debug)]
+pub struct PathStart {
+    /// Its first ray.
+    pub ray: Ray,
+    /// What the path carries.
+    pub flux: Vec3,
+    /// The VPL of an emissive surface.
+    pub vpl: Option<Vpl>,
+    /// Number within its source.
+    pub index: u32,
+}
+
 /// One light path to trace.
 #[derive(Clone, Copy, Debug)]
 struct Path {
@@ -71,40 +97,70 @@ impl Photons {
     ) {
         self.vpls.clear();
         self.rays = 0;
+        let Some((bounds, slots_a_path)) = self.share(scene, options) else { return };
+        let bounces = options.bounces;
+        let paths = &self.paths;
+        self.slots.clear();
+        self.slots.resize(paths.len() * slots_a_path, Vpl::default());
+        let emissive = &self.emissive;
+        let tracer = PathTracer { scene, normals, accel: Some(accel), emissive, bounds, bounces, seed };
+        self.rays = self
+            .slots
+            .par_chunks_mut(slots_a_path)
+            .with_min_len(16)
+            .zip(paths)
+            .map(|(slots, path)| tracer.trace(*path, slots))
+            .sum();
+        self.vpls.extend(self.slots.iter().filter(|v| v.flux != Vec3::ZERO));
+    }
+
+    /// What [`Self::trace`] would follow, for a tracer on the GPU.
+    pub fn paths(
+        &mut self,
+        scene: &RenderScene,
+        normals: &NormalMatrices,
+        options: &VplOptions,
+        seed: u32,
+    ) -> LightPaths {
+        let bounces = options.bounces;
+        let Some((bounds, slots_a_path)) = self.share(scene, options) else { return LightPaths::default() };
+        let emissive = &self.emissive;
+        let tracer = PathTracer { scene, normals, accel: None, emissive, bounds, bounces, seed };
+        let numbers = self.paths.iter().map(|p| p.index + 1).max().unwrap_or(0);
+        let point = |index, bounce| sampling::concentric_disc(bounce_sample(index, bounce, seed)).to_array();
+        LightPaths {
+            starts: self.paths.iter().map(|&p| tracer.start(p)).collect(),
+            samples: (0..numbers).flat_map(|i| (0..bounces).map(move |b| point(i, b))).collect(),
+            bounces,
+            slots_a_path: slots_a_path as u32,
+        }
+    }
+
+    /// Shares the paths out among the sources. Bounds of the scene and VPLs of a path; `None` for an empty scene.
+    fn share(&mut self, scene: &RenderScene, options: &VplOptions) -> Option<(catoptra_engine::Aabb, usize)> {
+        self.paths.clear();
         emission::emissive_triangles(scene, &mut self.emissive);
         let bounds = scene.bounds_world();
         if bounds.is_empty() {
-            return;
+            return None;
         }
         // A path of a light makes up to `bounces` VPLs, one of an emissive surface one more, for its start.
         let bounces = options.bounces;
         let slots_a_path = if self.emissive.is_empty() { bounces } else { bounces + 1 } as usize;
         let paths = (options.count / slots_a_path as u32).max(1);
         self.shares.update(scene, &self.emissive, bounds, paths);
-        let paths = &mut self.paths;
-        paths.clear();
         for (source, &of) in self.shares.shares.iter().enumerate() {
-            paths.extend((0..of).map(|index| Path { source: source as u32, index, of }));
+            self.paths.extend((0..of).map(|index| Path { source: source as u32, index, of }));
         }
-        self.slots.clear();
-        self.slots.resize(paths.len() * slots_a_path, Vpl::default());
-        let emissive = &self.emissive;
-        let tracer = PathTracer { scene, normals, accel, emissive, bounds, bounces, seed };
-        self.rays = self
-            .slots
-            .par_chunks_mut(slots_a_path)
-            .with_min_len(16)
-            .zip(&*paths)
-            .map(|(slots, path)| tracer.trace(*path, slots))
-            .sum();
-        self.vpls.extend(self.slots.iter().filter(|v| v.flux != Vec3::ZERO));
+        Some((bounds, slots_a_path))
     }
 }
 
 struct PathTracer<'a> {
     scene: &'a RenderScene,
     normals: &'a NormalMatrices,
-    accel: &'a Accel,
+    /// Not needed for starts.
+    accel: Option<&'a Accel>,
     emissive: &'a [EmissiveTriangle],
     bounds: catoptra_engine::Aabb,
     bounces: u32,
@@ -112,30 +168,39 @@ struct PathTracer<'a> {
 }
 
 impl PathTracer<'_> {
-    /// Fills a path's slots; returns the number of rays.
-    fn trace(&self, path: Path, slots: &mut [Vpl]) -> u64 {
+    fn start(&self, path: Path) -> PathStart {
         let shift = sampling::unit_f32(sampling::hash_combine(self.seed, 0xca70));
         let xi = Vec2::new(
             (path.index as f32 + 0.5) / path.of as f32,
             (sampling::radical_inverse(2, path.index) + shift).fract(),
         );
         let share = 1.0 / path.of as f32;
-        let (mut ray, mut flux, mut used) = if (path.source as usize) < self.scene.lights.len() {
+        if (path.source as usize) < self.scene.lights.len() {
             let e = emission::emit_from_light(&self.scene.lights[path.source as usize], self.bounds, xi);
-            (e.ray, e.flux * share, 0)
-        } else {
-            let vpl = self.emissive_start(path, xi, share);
+            return PathStart { ray: e.ray, flux: e.flux * share, vpl: None, index: path.index };
+        }
+        let vpl = self.emissive_start(path, xi, share);
+        let d = sampling::cosine_direction(vpl.normal_world, bounce_sample(path.index, self.bounces, self.seed));
+        let ray = Ray::new(vpl.position_world + vpl.normal_world * vpl.error, d);
+        PathStart { ray, flux: vpl.flux, vpl: Some(vpl), index: path.index }
+    }
+
+    /// Fills a path's slots; returns the number of rays.
+    fn trace(&self, path: Path, slots: &mut [Vpl]) -> u64 {
+        let Some(accel) = self.accel else { return 0 };
+        let PathStart { mut ray, mut flux, vpl, .. } = self.start(path);
+        let mut used = 0;
+        if let Some(vpl) = vpl {
             slots[0] = vpl;
-            let d = sampling::cosine_direction(vpl.normal_world, bounce_sample(path.index, self.bounces, self.seed));
-            (Ray::new(vpl.position_world + vpl.normal_world * vpl.error, d), vpl.flux, 1)
-        };
+            used = 1;
+        }
         let mut rays = 0;
         for bounce in 0..self.bounces {
             if flux == Vec3::ZERO {
                 break;
             }
             rays += 1;
-            let hit = self.accel.closest_hit(&ray);
+            let hit = accel.closest_hit(&ray);
             if !hit.is_hit() {
                 break;
             }

@@ -100,9 +100,35 @@ fn rescaled(ray: &Ray, m: f32) -> Usable {
     }
     // A power of two, so that the direction stays exact.
     let s = f64::from_bits(f64::from(m).to_bits() & 0x7ff0_0000_0000_0000);
-    let t = |t: f32| (f64::from(t) * s) as f32;
     let d = (ray.direction.as_dvec3() / s).as_vec3();
-    Usable::Scaled(Ray { origin: ray.origin, t_min: t(ray.t_min), direction: d, t_max: t(ray.t_max) }, 1.0 / s)
+    let factor = 1.0 / s;
+    let back = |t: f32| (f64::from(t) * factor) as f32;
+    // Exactly those t that lie in the ray's own range when they are turned back: the same hits for every kind of question.
+    let t_min = match last_positive(|t| back(t) <= ray.t_min) {
+        Some(t) => t,
+        None => -f32::MIN_POSITIVE,
+    };
+    let t_max = last_positive(|t| back(t) < ray.t_max).map_or(0.0, f32::next_up);
+    if !(t_min < t_max) {
+        return Usable::No;
+    }
+    Usable::Scaled(Ray { origin: ray.origin, t_min, direction: d, t_max }, factor)
+}
+
+/// The greatest number from 0 to +infinity that still passes a test which, once it fails, fails for all that are greater.
+fn last_positive(passes: impl Fn(f32) -> bool) -> Option<f32> {
+    let (mut good, mut bad) = (None, f32::INFINITY.to_bits() + 1);
+    let mut low = 0;
+    while low < bad {
+        // Positive floats are ordered as their bits are.
+        let middle = low + (bad - low) / 2;
+        if passes(f32::from_bits(middle)) {
+            (good, low) = (Some(f32::from_bits(middle)), middle + 1);
+        } else {
+            bad = middle;
+        }
+    }
+    good
 }
 
 #[inline(always)]

@@ -40,7 +40,7 @@ impl Heap {
             HeapKind::Storage => Place::Buffer(gpu.device.create_buffer(&wgpu::BufferDescriptor {
                 label: Some(&label),
                 size: words * WORD_BYTES,
-                usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST,
+                usage: wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC,
                 mapped_at_creation: false,
             })),
             HeapKind::Texture => {
@@ -69,6 +69,14 @@ impl Heap {
         match &self.place {
             Place::Buffer(buffer) => buffer.as_entire_binding(),
             Place::Texture(_, view) => wgpu::BindingResource::TextureView(view),
+        }
+    }
+
+    /// The buffer; `None` where the words lie in a texture.
+    pub fn buffer(&self) -> Option<&wgpu::Buffer> {
+        match &self.place {
+            Place::Buffer(buffer) => Some(buffer),
+            Place::Texture(..) => None,
         }
     }
 

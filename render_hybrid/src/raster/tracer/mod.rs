@@ -5,6 +5,7 @@
 
 mod heap;
 mod layout;
+mod photons;
 pub(crate) mod query;
 mod rayquery;
 mod scene;
@@ -16,7 +17,7 @@ use std::collections::HashMap;
 use super::{
     device::Gpu,
     pipeline::{Slot, compute_pipeline, group, group_layout, pipeline_layout, uniform},
-    readback::Readback,
+    readback::Mailbox,
     targets::{PictureTargets, RADIANCE_FORMAT, ShadowTargets, draw_pass},
 };
 use crate::{
@@ -26,6 +27,8 @@ use crate::{
     twin::{shadow::ShadowPlan, vpl::Vpl},
 };
 use layout::TraceUniform;
+use photons::GpuPhotons;
+pub(crate) use photons::{PhotonInputs, ReadPhotons};
 use rayquery::HardwareTrees;
 use scene::TracerScene;
 use shaders::{COUNTERS, HeapKind, Variant};
@@ -42,14 +45,18 @@ pub(crate) struct TraceInputs<'a> {
     pub geometry_term_max: f32,
     /// Texels a side of the VPLs' shadow maps on the GPU; 0: none.
     pub map_size: u32,
+    /// VPLs are made here, in place of `vpls`.
+    pub photons: Option<PhotonInputs<'a>>,
+    /// Bytes from one chunk of the indirect pass to the next.
+    pub chunk_stride: u64,
 }
 
-/// Rays that the compute tracers counted.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct TracedRays {
+/// What the tracers counted of a frame. Zero where a tracer cannot count: the fragment pass knows the masked pixels alone.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct TracedCounts {
+    pub masked: u64,
     /// Mirror and Fresnel reflection.
     pub reflection: u64,
-    /// Refraction.
     pub refraction: u64,
     /// Towards lights.
     pub shadow: u64,
@@ -57,6 +64,18 @@ pub struct TracedRays {
     pub vpl: u64,
     /// Pixels that met a cap: 0, or the trees are broken or paths deeper than 2²⁴ rays.
     pub capped: u64,
+    /// VPLs that were made there.
+    pub photons: Option<ReadPhotons>,
+}
+
+impl TracedCounts {
+    /// * `words`: masked pixels, then the counters, as far as there are any, then VPLs, where they were made
+    pub fn of(words: &[u32]) -> Self {
+        let [masked, reflection, refraction, shadow, vpl, capped] =
+            std::array::from_fn(|i| words.get(i).map_or(0, |w| u64::from(*w)));
+        let photons = words.get(1 + COUNTERS as usize..).filter(|w| !w.is_empty()).map(ReadPhotons::of);
+        Self { masked, reflection, refraction, shadow, vpl, capped, photons }
+    }
 }
 
 enum Pipeline {
@@ -68,6 +87,10 @@ enum Pipeline {
 pub(crate) struct GpuTracer {
     pub kind: Tracer,
     pub scene: TracerScene,
+    /// None for the fragment pass, which has no storage to write to.
+    photons: Option<GpuPhotons>,
+    /// The frame's VPLs are made here.
+    makes_photons: bool,
     hardware: Option<HardwareTrees>,
     layout: wgpu::BindGroupLayout,
     group: Option<wgpu::BindGroup>,
@@ -136,9 +159,12 @@ impl GpuTracer {
             })
         };
         use wgpu::BufferUsages as U;
+        let photons = (heaps == HeapKind::Storage).then(|| GpuPhotons::new(gpu, &scene, variant));
         let mut tracer = Self {
             kind,
             scene,
+            photons,
+            makes_photons: false,
             hardware: rayquery.then(HardwareTrees::default),
             layout,
             group: None,
@@ -197,8 +223,19 @@ impl GpuTracer {
         let mut replaced = self
             .scene
             .update(gpu, inputs.scene, inputs.accel, inputs.plan, rayquery)
-            .and_then(|a| Ok(a | self.scene.update_vpls(gpu, inputs.vpls)?))
             .map_err(|missing| refused(missing, choice()))?;
+        self.makes_photons = false;
+        let mut vpl_count = inputs.vpls.len() as u32;
+        replaced |= match (&inputs.photons, &mut self.photons) {
+            (Some(own), Some(photons)) => {
+                self.makes_photons = true;
+                let made = photons.prepare(gpu, own, &mut self.scene, inputs.geometry_term_max, inputs.chunk_stride);
+                vpl_count = photons.most();
+                made
+            }
+            _ => self.scene.update_vpls(gpu, inputs.vpls),
+        }
+        .map_err(|missing| refused(missing, choice()))?;
         if let Some(hardware) = &mut self.hardware {
             replaced |= hardware
                 .update(gpu, inputs.scene, inputs.accel)
@@ -219,11 +256,15 @@ impl GpuTracer {
             ..self.variant
         };
         self.compile(gpu, self.variant);
+        if let Some(photons) = &mut self.photons {
+            photons.compile(gpu, &self.scene, self.variant);
+            photons.valid &= self.makes_photons;
+        }
         let data = TraceUniform {
             max_depth: settings.max_depth,
             min_weight: settings.min_weight,
             ray_cap: layout::ray_cap(settings.max_depth),
-            vpl_count: inputs.vpls.len() as u32,
+            vpl_count,
             // Infinity is no number for a shader.
             geometry_term_max: inputs.geometry_term_max.min(f32::MAX),
             map_size: inputs.map_size,
@@ -266,6 +307,34 @@ impl GpuTracer {
         self.group = Some(group(gpu, "tracer.group", &self.layout, &resources));
         let args = [t.blocks.as_entire_binding(), self.args.as_entire_binding()];
         self.args_group = Some(group(gpu, "tracer.args", &self.args_layout, &args));
+    }
+
+    /// True where this tracer can make VPLs.
+    pub fn has_photons(&self) -> bool {
+        self.photons.is_some()
+    }
+
+    /// Most VPLs of the frame that [`Self::prepare`] saw, where they are made here.
+    pub fn made_vpls(&self) -> Option<u32> {
+        self.photons.as_ref().filter(|_| self.makes_photons).map(GpuPhotons::most)
+    }
+
+    /// Fills the indirect pass's chunks and the tracer's own list with VPLs.
+    /// * `emptied`: the chunks' buffer is new
+    pub fn record_photons(
+        &mut self,
+        encoder: &mut wgpu::CommandEncoder,
+        chunks: &wgpu::Buffer,
+        stride: u64,
+        emptied: bool,
+    ) {
+        let (Some(photons), Some(scene)) = (&mut self.photons, &self.scene.group) else {
+            unreachable!("prepare comes first");
+        };
+        if let Some(hardware) = &mut self.hardware {
+            hardware.build(encoder);
+        }
+        photons.record(encoder, scene, self.variant, (chunks, stride), emptied);
     }
 
     /// Writes the traced layer of the frame that [`Self::prepare`] saw.
@@ -314,14 +383,25 @@ impl GpuTracer {
         }
     }
 
-    /// Rays of the last [`Self::record`]; `None` for the fragment pass, which cannot count. Waits for it.
-    pub fn read_rays(&self, gpu: &Gpu, readback: &mut Readback) -> Result<Option<TracedRays>, RenderError> {
-        if self.variant.heaps == HeapKind::Texture {
-            return Ok(None);
+    /// Bytes of [`Self::record_read`].
+    pub fn read_bytes(&self) -> u64 {
+        let counters = if self.variant.heaps == HeapKind::Storage { u64::from(COUNTERS) * 4 } else { 0 };
+        counters + self.photons.as_ref().filter(|_| self.makes_photons).map_or(0, GpuPhotons::read_bytes)
+    }
+
+    /// Where VPLs are made here: whether those of the frame before were kept.
+    pub fn kept_photons(&self) -> bool {
+        self.photons.as_ref().is_some_and(GpuPhotons::kept)
+    }
+
+    /// Records that the counters come back; the fragment pass has none.
+    pub fn record_read(&self, encoder: &mut wgpu::CommandEncoder, mailbox: &mut Mailbox) {
+        if self.variant.heaps == HeapKind::Storage {
+            mailbox.buffer(encoder, &self.counters, 0, u64::from(COUNTERS) * 4);
         }
-        let c: Vec<u32> = readback.buffer(gpu, &self.counters, 0, u64::from(COUNTERS) * 4)?;
-        let [reflection, refraction, shadow, vpl, capped] = std::array::from_fn(|i| u64::from(c[i]));
-        Ok(Some(TracedRays { reflection, refraction, shadow, vpl, capped }))
+        if let Some(photons) = self.photons.as_ref().filter(|_| self.makes_photons) {
+            photons.record_read(encoder, mailbox, &self.scene);
+        }
     }
 }
 
@@ -337,6 +417,7 @@ fn module(gpu: &Gpu, kernel: &str, variant: &Variant) -> wgpu::ShaderModule {
 }
 
 fn fragment_pipeline(gpu: &Gpu, module: &wgpu::ShaderModule, layout: &wgpu::PipelineLayout) -> wgpu::RenderPipeline {
+    gpu.count_pipeline();
     gpu.device.create_render_pipeline(&wgpu::RenderPipelineDescriptor {
         label: Some("tracer.fragment"),
         layout: Some(layout),

@@ -225,6 +225,29 @@ impl TracerScene {
         Ok(replaced)
     }
 
+    /// Makes room for VPLs that a pass writes, and a word of its own behind them. True where the bind group must be made anew.
+    ///
+    /// # Errors
+    /// As [`Self::update`].
+    pub fn reserve_vpls(&mut self, gpu: &Gpu, count: u32) -> Result<bool, String> {
+        // What the CPU had sent is overwritten.
+        self.vpl_mirror.clear();
+        self.vpls.reserve(gpu, 3 * u64::from(count) + 1)
+    }
+
+    /// The list of VPLs, to be written by a pass.
+    pub fn vpl_list(&self) -> wgpu::BindingResource<'_> {
+        self.vpls.resource()
+    }
+
+    /// Its buffer.
+    ///
+    /// # Panics
+    /// Where the heaps are textures, which no pass writes: a mistake in this crate.
+    pub fn vpl_buffer(&self) -> &wgpu::Buffer {
+        self.vpls.buffer().expect("VPLs are traced where heaps are buffers")
+    }
+
     /// Makes the bind group.
     pub fn bind(&mut self, gpu: &Gpu, frame: &wgpu::Buffer, srgb_table: &wgpu::Buffer, tlas: Option<&wgpu::Tlas>) {
         let mut resources =

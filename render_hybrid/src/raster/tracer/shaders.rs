@@ -20,6 +20,8 @@ const FILES: &[(&str, &str)] = sources![
     "tracer/kd",
     "tracer/media",
     "tracer/no_kd",
+    "tracer/photons",
+    "tracer/photons_pack",
     "tracer/pixels",
     "tracer/query",
     "tracer/scene",
@@ -131,6 +133,8 @@ fn constants(v: &Variant) -> String {
     u("VERTEX_UV", 2);
     u("VERTEX_COLOR", 3);
     u("VERTEX_TANGENT", 4);
+    u("PATH_WORDS", super::photons::PATH_WORDS);
+    u("SLOT_WORDS", super::photons::SLOT_WORDS);
     u("TRACE_GROUP", TRACE_GROUP);
     u("TRACE_COUNTERS", COUNTERS);
     u("RAYS_REFLECTION", 0);
@@ -150,7 +154,7 @@ fn constants(v: &Variant) -> String {
     out
 }
 
-/// The whole text of a kernel: `trace`, `trace_fragment`, `query`, `photons` or `args`.
+/// The whole text of a kernel: `trace`, `trace_fragment`, `query`, `photons`, `photons_pack` or `args`.
 ///
 /// # Panics
 /// Where it does not exist: a mistake in this crate, met by its tests.
@@ -205,7 +209,7 @@ mod tests {
         let plain = naga::valid::Capabilities::default();
         for v in variants() {
             let kernels: &[&str] = match v.heaps {
-                HeapKind::Storage => &["args", "trace", "query"],
+                HeapKind::Storage => &["args", "trace", "query", "photons", "photons_pack"],
                 HeapKind::Texture => &["trace_fragment"],
             };
             for kernel in kernels {
@@ -214,7 +218,7 @@ mod tests {
             }
             if v.heaps == HeapKind::Storage && !v.kd {
                 let v = Variant { rayquery: true, ..v };
-                for kernel in ["trace", "query"] {
+                for kernel in ["trace", "query", "photons"] {
                     validated(kernel, &text(kernel, &v), plain | naga::valid::Capabilities::RAY_QUERY);
                 }
             }

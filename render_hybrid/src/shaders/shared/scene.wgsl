@@ -72,7 +72,8 @@ struct Material {
     // everywhere.
     physical: u32,
     physical_transmission: f32,
-    unused0: u32,
+    // Bit s: texture s of SLOT_* is there and read.
+    texture_slots: u32,
     unused1: u32,
     unused2: u32,
     reflectance_texture: TextureRef,

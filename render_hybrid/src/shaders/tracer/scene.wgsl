@@ -3,7 +3,8 @@
 #import shared/scene
 #import shared/camera
 #import shared/triangle
-#import shared/texture
+#import shared/sample
+#import shared/cutout
 #import shared/look
 #import shared/intersect
 #import tracer/heaps

@@ -74,88 +74,18 @@ fn texel_at(i: u32) -> u32 {
     return select(select(four.x, four.y, (i & 1u) != 0u), select(four.z, four.w, (i & 1u) != 0u), (i & 2u) != 0u);
 }
 
-fn decode_channel(byte: u32, srgb: bool) -> f32 {
-    if srgb {
-        return srgb_table[byte >> 2u][byte & 3u];
-    }
-    return f32(byte) / 255.0;
+fn srgb_value(byte: u32) -> f32 {
+    return srgb_table[byte >> 2u][byte & 3u];
 }
 
-// Linear RGB and alpha.
-fn texel_linear(i: u32, srgb: bool) -> vec4f {
-    let t = texel_at(i);
-    return vec4f(
-        decode_channel(t & 255u, srgb),
-        decode_channel((t >> 8u) & 255u, srgb),
-        decode_channel((t >> 16u) & 255u, srgb),
-        f32(t >> 24u) / 255.0,
-    );
-}
-
-fn sample_level(r: TextureRef, uv: vec2f) -> vec4f {
-    let srgb = (r.flags & TEXTURE_SRGB) != 0u;
-    let f = texture_footprint(r, uv);
-    let t = f.texels + r.first_texel;
-    let top = texel_linear(t.x, srgb) * (1.0 - f.fraction.x) + texel_linear(t.y, srgb) * f.fraction.x;
-    let bottom = texel_linear(t.z, srgb) * (1.0 - f.fraction.x) + texel_linear(t.w, srgb) * f.fraction.x;
-    return top * (1.0 - f.fraction.y) + bottom * f.fraction.y;
-}
-
-// Twin: engine/src/texture.rs, Texture::sample_lod. One loop over the one or two levels that are read.
-fn sample_texture(r: TextureRef, uv: vec2f, wanted: f32) -> vec4f {
-    var first = r;
-    var second = r;
-    var blend = 0.0;
-    if wanted > 0.0 {
-        let lod = min(wanted, f32(texture_last_level(r)));
-        if (r.flags & TEXTURE_MIP_LINEAR) != 0u {
-            let low = floor(lod);
-            blend = lod - low;
-            first = texture_level(r, u32(low));
-            second = texture_level(r, u32(low) + 1u);
-        } else {
-            let level = select(0.0, floor(lod + 0.5), (r.flags & TEXTURE_MIP_NEAREST) != 0u);
-            first = texture_level(r, u32(level));
-        }
-    }
-    var sum = vec4f(0.0);
-    for (var i = 0u; i < select(1u, 2u, blend > 0.0); i += 1u) {
-        if i == 0u {
-            sum += sample_level(first, uv) * (1.0 - blend);
-        } else {
-            sum += sample_level(second, uv) * blend;
-        }
-    }
-    return sum;
-}
-
-// A place of a triangle, as far as textures need it.
-struct Textured {
-    vertices: vec3u,
-    weights: vec3f,
-    // Square metres of surface that the pixel covers; 0: full detail.
-    footprint: f32,
-    area_world: f32,
+// `material`: its first word. Three words a texture, factors after the third, all else after the fifth.
+fn material_texture(material: u32, slot: u32) -> TextureRef {
+    let behind = u32(slot > SLOT_NORMAL) + 4u * u32(slot > SLOT_TRANSMISSION);
+    return read_texture_ref(material + 4u + 3u * slot + behind);
 }
 
 fn corner_uv(r: TextureRef, vertex: u32) -> vec2f {
     return texture_coordinates(r, bitcast<vec4f>(geometry_word(vertex + VERTEX_UV)));
-}
-
-// White where there is no texture.
-fn textured(at: u32, seen: Textured) -> vec4f {
-    let r = read_texture_ref(at);
-    if r.first_texel == NO_TEXTURE {
-        return vec4f(1.0);
-    }
-    let uv0 = corner_uv(r, seen.vertices.x);
-    let uv1 = corner_uv(r, seen.vertices.y);
-    let uv2 = corner_uv(r, seen.vertices.z);
-    let d1 = uv1 - uv0;
-    let d2 = uv2 - uv0;
-    let per_area = abs(d1.x * d2.y - d1.y * d2.x) / max(seen.area_world, MIN_POSITIVE);
-    let lod = texture_lod(r, per_area, seen.footprint);
-    return sample_texture(r, uv0 * seen.weights.x + uv1 * seen.weights.y + uv2 * seen.weights.z, lod);
 }
 
 // Twin: accel/cutout.rs, Cutouts::is_hole.
@@ -169,7 +99,7 @@ fn is_hole(instance: u32, primitive: u32, u: f32, v: f32) -> bool {
     var alpha = factors.y * interpolated(vertices, VERTEX_POSITION, weights).w;
     let r = read_texture_ref(m + 4u);
     if r.first_texel != NO_TEXTURE {
-        alpha *= sample_level(r, texture_coordinates(r, interpolated(vertices, VERTEX_UV, weights))).w;
+        alpha *= sample_alpha(r, texture_coordinates(r, interpolated(vertices, VERTEX_UV, weights)));
     }
     return alpha < cutoff;
 }
@@ -213,12 +143,11 @@ fn surface_at(direction: vec3f, hit: Hit, pixel_width: f32) -> SurfacePoint {
         pixel_width * pixel_width / max(abs(dot(n_geometric, direction)), LEAST_COSINE),
         length(cross(direction_world_from_object(instance, e1), direction_world_from_object(instance, e2))),
     );
-    let map = read_texture_ref(m + 10u);
     let factors = bitcast<vec4f>(dynamic_word(m + 13u));
-    if map.first_texel != NO_TEXTURE {
-        let uv0 = corner_uv(map, vertices.x);
-        var frame_object =
-            tangents(e1 * scale, e2 * scale, corner_uv(map, vertices.y) - uv0, corner_uv(map, vertices.z) - uv0);
+    let slots = dynamic_word(m + 21u).y;
+    let texel = surface_texels(m, slots, seen);
+    if (slots & (1u << SLOT_NORMAL)) != 0u {
+        var frame_object = tangents(e1 * scale, e2 * scale, texel.normal_duv1, texel.normal_duv2);
         let tangent = interpolated(vertices, VERTEX_TANGENT, weights);
         if any(tangent.xyz != vec3f(0.0)) {
             frame_object = Tangents(tangent.xyz, -cross(normal_object, tangent.xyz) * tangent.w);
@@ -227,35 +156,32 @@ fn surface_at(direction: vec3f, hit: Hit, pixel_width: f32) -> SurfacePoint {
             n_shading,
             direction_world_from_object(instance, frame_object.along_u),
             direction_world_from_object(instance, frame_object.along_v),
-            textured(m + 10u, seen).xyz,
+            texel.normal,
             factors.x,
         );
     }
     if flipped {
         n_shading = -n_shading;
     }
-    let texel = textured(m + 4u, seen);
-    var base_color = float3(dynamic_word(m)) * texel.xyz * interpolated(vertices, VERTEX_COLOR, weights).xyz;
-    var emission = float3(dynamic_word(m + 2u)) * textured(m + 7u, seen).xyz;
+    var base_color = float3(dynamic_word(m)) * texel.base_color.xyz * interpolated(vertices, VERTEX_COLOR, weights).xyz;
+    var emission = float3(dynamic_word(m + 2u)) * texel.emissive;
     let color = bitcast<vec4f>(dynamic_word(m));
     let shiny = bitcast<vec4f>(dynamic_word(m + 1u));
     let mask = dynamic_word(m + 3u);
     var look = Look(shiny.xyz, shiny.w, color.w, bitcast<f32>(mask.x), bitcast<f32>(mask.y));
     let physical = dynamic_word(m + 20u);
     if (physical.w & PHYSICAL) != 0u {
-        let metal = textured(m + 14u, seen);
-        let transmission = bitcast<f32>(dynamic_word(m + 21u).x) * textured(m + 17u, seen).x;
-        var place = PhysicalPlace(factors.z * metal.z, factors.w * metal.y, transmission, 1.0);
+        let transmission = bitcast<f32>(dynamic_word(m + 21u).x) * texel.transmission;
+        var place = PhysicalPlace(factors.z * texel.metallic_roughness.z, factors.w * texel.metallic_roughness.y, transmission, 1.0);
         if (physical.w & PHYSICAL_BLENDED) != 0u {
             let alpha = interpolated(vertices, VERTEX_POSITION, weights).w;
-            place.coverage = clamp(factors.y * texel.w * alpha, 0.0, 1.0);
+            place.coverage = clamp(factors.y * texel.base_color.w * alpha, 0.0, 1.0);
         }
         var reflectance = float3(physical);
         if (physical.w & PHYSICAL_REFLECTANCE) != 0u {
-            let sheen = textured(m + 24u, seen);
-            reflectance *= sheen.xyz * textured(m + 27u, seen).w;
+            reflectance *= texel.reflectance.xyz * texel.reflectance_strength;
             if (physical.w & PHYSICAL_BY_REFLECTANCE) != 0u {
-                place.roughness = 1.0 - (1.0 - place.roughness) * sheen.w;
+                place.roughness = 1.0 - (1.0 - place.roughness) * texel.reflectance.w;
             }
         }
         if (physical.w & PHYSICAL_BY_REFLECTANCE) != 0u {
