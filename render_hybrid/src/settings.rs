@@ -277,9 +277,17 @@ impl RenderSettings {
                 ..base
             },
             // Each pixel would take 16 times as long, and each hit in a mirror 60 times (docs/light.md).
-            Preset::Interactive => {
-                Self { vpl: Some(VplOptions { spacing: 16, mirrored: 64, ..VplOptions::default() }), ..base }
-            }
+            // With so few VPLs a higher bound shows as bright spots around each, at no gain in FLIP (docs/light.md).
+            Preset::Interactive => Self {
+                vpl: Some(VplOptions {
+                    geometry_term_max: Some(20.0),
+                    spacing: 16,
+                    mirrored: 64,
+                    ..VplOptions::default()
+                }),
+                min_weight: 1.0 / 128.0,
+                ..base
+            },
             Preset::High => Self {
                 shadows: Shadows::Certified,
                 vpl: Some(VplOptions {

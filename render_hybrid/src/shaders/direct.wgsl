@@ -72,7 +72,10 @@ fn fragment(@builtin(position) position_pixel: vec4f) -> @location(0) vec4f {
     let n = octahedral_decode(textureLoad(normals, pixel, 0).zw);
     let wo = direction_to_viewer(frame, place.xyz);
     let shiny = any(look.specular > vec3f(0.0));
-    for (var i = 0u; i < frame.light_count; i += 1u) {
+    // No place is below 0.25. Said so because lavapipe 22.3 makes constants of uniforms that bound loops and here compiled this
+    // shader anew, and kept it, for every picture (tests/embed_memory.rs).
+    let count = select(frame.light_count, 0u, place.w < 0.25);
+    for (var i = 0u; i < count; i += 1u) {
         let light = lights[i];
         let arriving = incident(light, place.xyz);
         let cos_i = dot(n, arriving.wi);
