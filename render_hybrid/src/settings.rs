@@ -163,8 +163,9 @@ pub struct VplOptions {
     /// over n pixels, noise along edges. CPU lane; the GPU lane and hits in mirrors evaluate fully.
     pub interleave: u32,
     /// Pixels between the places of the picture where VPLs are evaluated, and between which their light is carried along
-    /// surfaces: 1 (every pixel), 2, 4, 8 or 16. Higher: 1/n² of the cost, shadows of VPLs soft to n pixels. CPU lane; not
-    /// where visibility is traced or VPLs are interleaved.
+    /// surfaces: 1 (every pixel), 2, 4, 8 or 16. Higher: 1/n² of the cost, shadows of VPLs soft to n pixels. Less where it
+    /// would leave fewer than 64 places along the shorter side. CPU lane; not where visibility is traced or VPLs are
+    /// interleaved.
     pub spacing: u32,
     /// VPLs, without visibility, that light what mirrors and glass show, a set of their own; 0: the same as what is seen
     /// directly. Cost is linear in it, for each hit.
@@ -239,7 +240,7 @@ impl Default for RenderSettings {
 pub enum Preset {
     /// 16 VPLs without shadows, depth 4: editing.
     Draft,
-    /// 256 VPLs with shadow maps on a grid of the picture, 64 without in mirrors, filtered shadows, depth 8: play.
+    /// 64 VPLs without visibility (the thesis's choice), filtered shadows, depth 8: play.
     #[default]
     Interactive,
     /// 4,096 VPLs with shadow maps, certified soft shadows, depth 16: stills.
@@ -277,12 +278,13 @@ impl RenderSettings {
                 ..base
             },
             // Each pixel would take 16 times as long, and each hit in a mirror 60 times (docs/light.md).
-            // With so few VPLs a higher bound shows as bright spots around each, at no gain in FLIP (docs/light.md).
+            // Below 128 VPLs the edges of their few hard shadows cost more FLIP than the light that leaks (docs/light.md). 256
+            // with maps on a grid cost as much, but there the lanes differ by more than 0.02 in the atrium.
             Preset::Interactive => Self {
                 vpl: Some(VplOptions {
+                    count: 64,
                     geometry_term_max: Some(20.0),
-                    spacing: 16,
-                    mirrored: 64,
+                    shadows: VplShadows::Off,
                     ..VplOptions::default()
                 }),
                 min_weight: 1.0 / 128.0,

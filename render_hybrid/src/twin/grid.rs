@@ -16,7 +16,7 @@ use std::sync::Mutex;
 use super::gbuffer::point_of;
 use crate::{
     accel::{Hit, Ray},
-    settings::{SimdLevel, VplShadows},
+    settings::{RenderSettings, SimdLevel, VplShadows},
     simd::dispatch,
     trace::{
         camera_rays::camera_ray,
@@ -69,7 +69,7 @@ pub struct IrradianceGrid {
 impl IrradianceGrid {
     /// Evaluates all VPLs at the grid's points; no grid where the settings want none. Returns the number of camera rays.
     pub fn build(&mut self, ctx: &FrameContext) -> u64 {
-        let spacing = ctx.settings.vpl.map_or(1, |v| if v.shadows == VplShadows::Traced { 1 } else { v.spacing });
+        let spacing = spacing_of(ctx.settings);
         self.spacing = 0;
         if spacing <= 1 || ctx.vpls.is_empty() {
             return 0;
@@ -196,6 +196,16 @@ fn likeness(g: &GridPoint, position: Vec3, n: Vec3) -> f32 {
     let share = off2 / (d2 + 1e-12);
     let plane = unit(1.0 - (share - OFF_PLANE) * (1.0 / OFF_PLANE_SPAN));
     unit((cos - LEAST_COSINE) * (1.0 / COSINE_SPAN)) * plane
+}
+
+/// Places along the shorter side of a picture: where fewer would be left, they move closer together.
+const LEAST_PLACES: u32 = 64;
+
+/// Pixels from one place to the next: a power of two; 1: there is no grid.
+fn spacing_of(settings: &RenderSettings) -> u32 {
+    let wanted = settings.vpl.map_or(1, |v| if v.shadows == VplShadows::Traced { 1 } else { v.spacing });
+    let most = (settings.width.min(settings.height) / LEAST_PLACES).max(1);
+    wanted.min(1 << most.ilog2())
 }
 
 fn fill_row(ctx: &FrameContext, spacing: u32, row: u32, points: &mut [GridPoint], s: &mut RowScratch) {
