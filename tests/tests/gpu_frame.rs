@@ -247,14 +247,27 @@ fn vpls_of_a_still_scene_are_made_once() {
 }
 
 #[test]
+#[ignore = "takes minutes on a software adapter"]
 fn ninety_frames_send_what_moved() {
-    let Some(mut gpu) = renderer("ninety_frames_send_what_moved", Tracer::Gpu) else { return };
+    frames_send_what_moved("ninety_frames_send_what_moved", &["rolling-box", "two-spheres"]);
+}
+
+/// As above for the scenes whose triangles keep a software adapter busy for minutes.
+#[test]
+#[ignore = "takes minutes on a software adapter"]
+fn ninety_frames_of_large_scenes_send_what_moved() {
+    let large = ["rolling-box-donut", "rolling-box-venus", "rolling-box-sponza"];
+    frames_send_what_moved("ninety_frames_of_large_scenes_send_what_moved", &large);
+}
+
+fn frames_send_what_moved(test: &str, names: &[&str]) {
+    let Some(mut gpu) = renderer(test, Tracer::Gpu) else { return };
     // A frame's uniform and what follows the bounds of the scene: lights, shadow views.
     const FRAME_BYTES: u64 = 1024;
     // Its records in both layouts and the boxes on its way to the root.
     const MOVED_BYTES: u64 = 2048;
     let settings = small(16);
-    for info in &scenes::SCENES {
+    for info in scenes::SCENES.iter().filter(|i| names.contains(&i.name)) {
         let mut sent: Vec<(u64, u64)> = Vec::new();
         let mut first = 0;
         frames(info.name, 90, |k, scene| {
