@@ -104,10 +104,7 @@ fn rescaled(ray: &Ray, m: f32) -> Usable {
     let factor = 1.0 / s;
     let back = |t: f32| (f64::from(t) * factor) as f32;
     // Exactly those t that lie in the ray's own range when they are turned back: the same hits for every kind of question.
-    let t_min = match last_positive(|t| back(t) <= ray.t_min) {
-        Some(t) => t,
-        None => -f32::MIN_POSITIVE,
-    };
+    let t_min = last_positive(|t| back(t) <= ray.t_min).unwrap_or(-f32::MIN_POSITIVE);
     let t_max = last_positive(|t| back(t) < ray.t_max).map_or(0.0, f32::next_up);
     if !(t_min < t_max) {
         return Usable::No;
