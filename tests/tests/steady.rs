@@ -105,12 +105,13 @@ fn memory_is_flat_over_ten_thousand_frames() {
         let scene = &app.world().resource::<Extracted>().0;
         renderer.render_into(scene, &settings, &mut frame).unwrap();
         match k {
-            1_000 => after[0] = LIVE.load(Relaxed),
+            // Which thread's scratch grows to what a tile needs is chance: by then both have (20,000 frames: no byte more).
+            3_000 => after[0] = LIVE.load(Relaxed),
             10_000 => after[1] = LIVE.load(Relaxed),
             _ => {}
         }
     }
-    println!("live bytes after 1,000 frames: {}, after 10,000: {}", after[0], after[1]);
+    println!("live bytes after 3,000 frames: {}, after 10,000: {}", after[0], after[1]);
     assert!(after[0] > 0 && after[1] as f64 <= after[0] as f64 * 1.01, "{after:?}");
 }
 
