@@ -157,11 +157,7 @@ fn at_once(
     let traced_on_gpu = light(state, gpu, wanted, &mut frame.stats, &mut ms, clock)?;
     if !traced_on_gpu {
         // Light is on its way; the list is there as soon as the passes before it are done.
-        let masked = fetch(state, gpu, settings, &plan, &mut ms, clock)?;
-        frame.stats.masked_pixels = masked.len() as u64;
-        let stats = &mut frame.stats;
-        let traced = clock.run("trace", &mut ms.traced, || trace_masked(state, wanted, state.serial, &masked, stats));
-        clock.run("send traced", &mut ms.transfer, || gpu.record_compose(&traced))?;
+        trace_here(state, gpu, wanted, &plan, &mut frame.stats, &mut ms, clock)?;
     }
     clock.run("submit", &mut ms.transfer, || gpu.finish(read_back, slot))?;
     settle(gpu, clock)?;
@@ -175,6 +171,22 @@ fn at_once(
     }
     add_times(&mut frame.stats.stages_ms, &ms);
     Ok(())
+}
+
+/// The CPU traces the frame's masked pixels; composition is recorded.
+fn trace_here(
+    state: &mut FrameState,
+    gpu: &mut GpuRaster,
+    wanted: Wanted,
+    plan: &ShadowPlan,
+    stats: &mut FrameStats,
+    ms: &mut StageTimes,
+    clock: &mut Clock,
+) -> Result<(), RenderError> {
+    let masked = fetch(state, gpu, wanted.settings, plan, ms, clock)?;
+    stats.masked_pixels = masked.len() as u64;
+    let traced = clock.run("trace", &mut ms.traced, || trace_masked(state, wanted, state.serial, &masked, stats));
+    clock.run("send traced", &mut ms.transfer, || gpu.record_compose(&traced))
 }
 
 /// All on the GPU: sends the picture of the frame before, then everything of this one, and waits for the former alone.
@@ -197,11 +209,7 @@ fn last_of_gpu(
         frame.stats.latency_frames = 1;
     } else {
         // The scene has become too large for the GPU's tracer: this frame is made here, and shown.
-        let masked = fetch(state, gpu, settings, &plan, &mut ms, clock)?;
-        frame.stats.masked_pixels = masked.len() as u64;
-        let stats = &mut frame.stats;
-        let traced = clock.run("trace", &mut ms.traced, || trace_masked(state, wanted, state.serial, &masked, stats));
-        clock.run("send traced", &mut ms.transfer, || gpu.record_compose(&traced))?;
+        trace_here(state, gpu, wanted, &plan, &mut frame.stats, &mut ms, clock)?;
         clock.run("submit", &mut ms.transfer, || gpu.finish(true, slot))?;
     }
     deliver(state, gpu, true, traced_on_gpu, frame, &mut ms, clock)?;

@@ -175,17 +175,8 @@ fn resolve(@builtin(global_invocation_id) id: vec3u) {
             );
             place.coverage = clamp(material.alpha * texel.base_color.w * dot(weights, alpha), 0.0, 1.0);
         }
-        if (material.physical & PHYSICAL_REFLECTANCE) != 0u {
-            reflectance *= texel.reflectance.xyz * texel.reflectance_strength;
-            if (material.physical & PHYSICAL_BY_REFLECTANCE) != 0u {
-                place.roughness = 1.0 - (1.0 - place.roughness) * texel.reflectance.w;
-            }
-        }
-        if (material.physical & PHYSICAL_BY_REFLECTANCE) != 0u {
-            let metal_color = metal_of_reflectance(base_color, reflectance);
-            base_color = metal_color.xyz;
-            place.metallic = metal_color.w;
-        }
+        let shine = vec4f(texel.reflectance.xyz * texel.reflectance_strength, texel.reflectance.w);
+        reflectance = reflectance_at(material.physical, reflectance, shine, &base_color, &place);
         look = physical_look(reflectance, base_color, place);
         emission *= place.coverage;
         if material.unlit != 0u {

@@ -63,6 +63,30 @@ fn metal_of_reflectance(diffuse_color: vec3f, reflectance: vec3f) -> vec4f {
     return vec4f(diffuse_color + (reflectance / strongest - diffuse_color) * metallic, metallic);
 }
 
+// Reflectance of a place, and what it makes of colour, metal and roughness. * `flags`: the material's PHYSICAL bits
+// * `texel`: rgb: factor of reflectance, w: of glossiness
+fn reflectance_at(
+    flags: u32,
+    factor: vec3f,
+    texel: vec4f,
+    base_color: ptr<function, vec3f>,
+    place: ptr<function, PhysicalPlace>,
+) -> vec3f {
+    var reflectance = factor;
+    if (flags & PHYSICAL_REFLECTANCE) != 0u {
+        reflectance *= texel.xyz;
+        if (flags & PHYSICAL_BY_REFLECTANCE) != 0u {
+            (*place).roughness = 1.0 - (1.0 - (*place).roughness) * texel.w;
+        }
+    }
+    if (flags & PHYSICAL_BY_REFLECTANCE) != 0u {
+        let metal_color = metal_of_reflectance(*base_color, reflectance);
+        *base_color = metal_color.xyz;
+        (*place).metallic = metal_color.w;
+    }
+    return reflectance;
+}
+
 // A colour in [0, 1] in one normal float: nine bits a channel, of their square roots.
 fn pack_reflectance(reflectance: vec3f) -> f32 {
     let code = vec3u(sqrt(clamp(reflectance, vec3f(0.0), vec3f(1.0))) * 511.0 + 0.5);

@@ -177,18 +177,8 @@ fn surface_at(direction: vec3f, hit: Hit, pixel_width: f32) -> SurfacePoint {
             let alpha = interpolated(vertices, VERTEX_POSITION, weights).w;
             place.coverage = clamp(factors.y * texel.base_color.w * alpha, 0.0, 1.0);
         }
-        var reflectance = float3(physical);
-        if (physical.w & PHYSICAL_REFLECTANCE) != 0u {
-            reflectance *= texel.reflectance.xyz * texel.reflectance_strength;
-            if (physical.w & PHYSICAL_BY_REFLECTANCE) != 0u {
-                place.roughness = 1.0 - (1.0 - place.roughness) * texel.reflectance.w;
-            }
-        }
-        if (physical.w & PHYSICAL_BY_REFLECTANCE) != 0u {
-            let metal_color = metal_of_reflectance(base_color, reflectance);
-            base_color = metal_color.xyz;
-            place.metallic = metal_color.w;
-        }
+        let shine = vec4f(texel.reflectance.xyz * texel.reflectance_strength, texel.reflectance.w);
+        let reflectance = reflectance_at(physical.w, float3(physical), shine, &base_color, &place);
         look = physical_look(reflectance, base_color, place);
         emission *= place.coverage;
         if mask.z != 0u {
