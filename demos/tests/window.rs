@@ -1,7 +1,8 @@
 //! `play` in a real window: odd sizes, minimised to nothing and back, a graphics device that is lost in the middle of a game,
 //! and a level won by injected keys. After each the window is photographed.
 //!
-//! Wants Xvfb, xdotool and ImageMagick's `import`; where one is missing the tests are skipped loudly. The window's content is
+//! Wants Xvfb, xdotool and ImageMagick's `import`; where one is missing the tests are skipped loudly
+//! (with `CI` set they fail). The window's content is
 //! drawn by whatever there is: a software driver, or the CPU.
 
 use catoptra_render_hybrid::image_io;
@@ -23,6 +24,7 @@ fn tools() -> Option<()> {
     };
     let missing: Vec<_> = ["Xvfb", "xdotool", "import"].into_iter().filter(|t| !found(t)).collect();
     if !missing.is_empty() {
+        assert!(std::env::var_os("CI").is_none(), "windows: {} missing", missing.join(", "));
         eprintln!("SKIPPED windows: {} missing", missing.join(", "));
         return None;
     }
