@@ -168,13 +168,11 @@ fn the_tracer_that_runs_is_said() {
 fn a_budget_caps_rays_and_a_trace_tells_the_stages() {
     let out = folder("budget");
     let trace = out.join("trace.json");
-    let render = |budget: &str, threads: &str| {
+    let render_with = |budget: &str, threads: &str, more: &[&str]| {
         let args =
             ["render", "rolling-box-donut", "--frame", "30", "--size", "96x96", "--raster", "cpu", "--budget", budget];
-        // The VPLs' maps take what they need first, which is more than the cap of so small a picture.
         let o = catoptra(
-            &[&args[..], &["--vpl-shadows", "off", "--threads", threads, "--out", text(&out), "--trace", text(&trace)]]
-                .concat(),
+            &[&args[..], &["--threads", threads, "--out", text(&out), "--trace", text(&trace)], more].concat(),
         );
         assert!(o.status.success(), "{}", String::from_utf8_lossy(&o.stderr));
         let stats: serde_json::Value =
@@ -184,11 +182,16 @@ fn a_budget_caps_rays_and_a_trace_tells_the_stages() {
         let sum: u64 = traced.iter().map(|k| rays[k].as_u64().unwrap()).sum();
         (stats["scenes"][0]["per_frame"][0]["hash"].as_str().unwrap().to_string(), sum)
     };
+    // The least number of VPLs' maps would take more than the cap of so small a picture.
+    let render = |budget: &str, threads: &str| render_with(budget, threads, &["--vpl-shadows", "off"]);
     let (free, all) = render("1000000000", "2");
     let (capped, few) = render("2000", "2");
     assert!(all > 4000 && few <= 2000 && few > 500, "{all} and {few} rays");
     assert_ne!(free, capped);
     assert_eq!(render("2000", "1").0, capped, "a budget counts rays, not threads");
+    let maps = ["--vpls", "256", "--vpl-shadows", "maps"];
+    let (all, few) = (render_with("1000000000", "2", &maps).1, render_with("100000", "2", &maps).1);
+    assert!(all > 256_000 && few <= 100_000 && few > 20_000, "{all} and {few} rays with maps");
     let text = std::fs::read_to_string(&trace).unwrap();
     let file: serde_json::Value = serde_json::from_str(&text).unwrap();
     let names: Vec<&str> =

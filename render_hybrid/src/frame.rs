@@ -48,6 +48,7 @@ pub(crate) fn render_frame(
         return Err(RenderError::Settings(what));
     }
     scene.validate()?;
+    let settings = &budget::within_budget(settings);
     let start = Instant::now();
     state.serial += 1;
     // Memory of the frame before is used again.
@@ -107,6 +108,7 @@ pub(crate) fn explain_pixel(
         )));
     }
     scene.validate()?;
+    let settings = &budget::within_budget(settings);
     state.serial += 1;
     let mut stats = FrameStats::default();
     structures(state, scene, settings, &mut stats);

@@ -210,9 +210,9 @@ pub struct RenderSettings {
     pub max_depth: u32,
     /// Rays whose weight falls below it (greatest channel) end. Lower: exact, dearer.
     pub min_weight: f32,
-    /// Most rays a frame: what lights and VPLs leave of it goes to mirrors and glass, whose rays of least weight end first
-    /// ([`crate::trace::budget`]); `None`: no cap. Lower: shallower and dimmer reflections. A capped frame has the same bits
-    /// everywhere.
+    /// Most rays a frame: a quarter of it makes VPLs and their maps, fewer of them where it must be; what lights and VPLs
+    /// leave goes to mirrors and glass, whose rays of least weight end first ([`crate::trace::budget`]); `None`: no cap.
+    /// Lower: fewer VPLs, shallower and dimmer reflections. A capped frame has the same bits everywhere.
     pub ray_budget: Option<u64>,
     /// Tile side in pixels of the CPU's work; never changes the picture.
     pub tile: u32,

@@ -17,7 +17,11 @@ use super::{
     surface::surface_at,
     whitted::{self, MaskedPixel, WhittedScratch},
 };
-use crate::{accel::Ray, output::RayCounts};
+use crate::{
+    accel::Ray,
+    output::RayCounts,
+    settings::{RenderSettings, VplOptions, VplShadows},
+};
 
 /// Pixels that one task traces. It never shows.
 const CHUNK: usize = 1024;
@@ -25,8 +29,30 @@ const CHUNK: usize = 1024;
 /// Rays that a traced pixel should have on the whole. Higher: fewer pixels are traced, more deeply.
 pub const RAYS_A_PIXEL: u64 = 4;
 
+/// The cap's part that making VPLs and their maps may take is one in so many.
+const VPL_PART: u64 = 4;
+/// Fewer VPLs are no light to play by: they are made under any cap.
+const LEAST_VPLS: u32 = 16;
+
 /// Normals whose cosine is less see something else.
 const LEAST_COSINE: f32 = 0.9;
+
+/// The settings with as many VPLs as the cap allows. It depends on the settings alone, so that light does not jump from frame
+/// to frame.
+pub fn within_budget(settings: &RenderSettings) -> RenderSettings {
+    let fewer = |budget, vpl: VplOptions| VplOptions { count: vpls_within(budget, &vpl), ..vpl };
+    let vpl = settings.ray_budget.map_or(settings.vpl, |budget| settings.vpl.map(|v| fewer(budget, v)));
+    RenderSettings { vpl, ..*settings }
+}
+
+fn vpls_within(budget: u64, vpl: &VplOptions) -> u32 {
+    let map = if vpl.shadows == VplShadows::Maps { u64::from(vpl.map_size).pow(2) } else { 0 };
+    let each = u64::from(vpl.bounces) + 1 + map;
+    let affordable = (budget / VPL_PART / each).min(u64::from(vpl.count)) as u32;
+    // Whole subsets, where they are interleaved.
+    let subset = vpl.interleave.max(1).pow(2);
+    (affordable / subset * subset).max(LEAST_VPLS).min(vpl.count)
+}
 
 /// Radiance that mirrors and glass add to each pixel of the list, by at most `budget` rays (those that hits send to lights
 /// and VPLs count, too, but end nothing until the next wave).
@@ -153,6 +179,21 @@ fn least_rank(most: u64, ranks: impl Iterator<Item = u32>) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn vpls_are_as_many_as_a_quarter_of_the_cap_pays_for() {
+        let vpl =
+            VplOptions { count: 256, bounces: 2, shadows: VplShadows::Maps, map_size: 32, ..VplOptions::default() };
+        assert_eq!(vpls_within(400_000, &vpl), 97);
+        assert_eq!(vpls_within(400_000, &VplOptions { interleave: 4, ..vpl }), 96);
+        assert_eq!(vpls_within(400_000, &VplOptions { shadows: VplShadows::Off, ..vpl }), 256);
+        assert_eq!((vpls_within(0, &vpl), vpls_within(u64::MAX, &vpl)), (LEAST_VPLS, 256));
+        assert_eq!(vpls_within(0, &VplOptions { count: 3, ..vpl }), 3);
+        let free = RenderSettings { vpl: Some(vpl), ..RenderSettings::default() };
+        assert_eq!(within_budget(&free), free);
+        let capped = RenderSettings { ray_budget: Some(400_000), ..free };
+        assert_eq!(within_budget(&capped).vpl.map(|v| v.count), Some(97));
+    }
 
     #[test]
     fn the_least_rank_keeps_no_more_than_it_may_and_little_less() {
