@@ -65,6 +65,9 @@ pub(crate) const PACKED_LAYERS: &[(&str, PackedLayer)] = &[
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub(crate) struct FrameData {
+    pub size: [u32; 2],
+    pub orthographic: u32,
+    pub light_count: u32,
     pub eye_world: Vec3,
     pub near: f32,
     pub right_world: Vec3,
@@ -74,11 +77,9 @@ pub(crate) struct FrameData {
     pub forward_world: Vec3,
     pub far: f32,
     pub background: Vec3,
-    pub orthographic: u32,
+    pub unused0: u32,
     pub ambient: Vec3,
-    pub light_count: u32,
-    pub size: [u32; 2],
-    pub unused: [u32; 2],
+    pub unused1: u32,
 }
 
 impl FrameData {
@@ -94,6 +95,9 @@ impl FrameData {
             bounds.corners().iter().map(|c| forward_world.dot(*c - pose.translation)).fold(0.0f32, f32::max)
         };
         Self {
+            size: [width, height],
+            orthographic: u32::from(matches!(camera.projection, Projection::Orthographic { .. })),
+            light_count: scene.lights.len() as u32,
             eye_world: pose.translation,
             // Reversed floating-point depth keeps its relative precision at any near plane, but not at none.
             near: camera.near.max(f32::MIN_POSITIVE * 1e12).max(bounds.radius().min(1.0) * 1e-9),
@@ -104,11 +108,9 @@ impl FrameData {
             forward_world,
             far: (farthest * 1.01).max(camera.near * 1.01).max(f32::MIN_POSITIVE * 1e13),
             background: scene.environment.background,
-            orthographic: u32::from(matches!(camera.projection, Projection::Orthographic { .. })),
+            unused0: 0,
             ambient: scene.environment.ambient,
-            light_count: scene.lights.len() as u32,
-            size: [width, height],
-            unused: [0; 2],
+            unused1: 0,
         }
     }
 }
@@ -446,6 +448,9 @@ mod tests {
             "gbuffer",
             "Frame",
             FrameData,
+            size,
+            orthographic,
+            light_count,
             eye_world,
             near,
             right_world,
@@ -455,11 +460,9 @@ mod tests {
             forward_world,
             far,
             background,
-            orthographic,
+            unused0,
             ambient,
-            light_count,
-            size,
-            unused
+            unused1
         );
         assert_layout!(
             "gbuffer",

@@ -222,6 +222,14 @@ impl GpuRaster {
         }
     }
 
+    /// For measurements: the compute tracer's layer holds each pixel's rays, the steps of their walks, and 1, in place of light.
+    #[doc(hidden)]
+    pub fn show_work(&mut self, on: bool) {
+        if let Some(tracer) = &mut self.tracer {
+            tracer.show_work(on);
+        }
+    }
+
     /// Runs a step with all device errors caught.
     fn step<T>(&mut self, work: impl FnOnce(&mut Self) -> Result<T, RenderError>) -> Result<T, RenderError> {
         // The scope needs the device while `self` is lent to the work: handles are cheap to clone.

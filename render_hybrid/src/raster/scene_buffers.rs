@@ -99,6 +99,7 @@ pub(crate) struct SceneBuffers {
     pub layout: wgpu::BindGroupLayout,
     group: Option<wgpu::BindGroup>,
     frame: wgpu::Buffer,
+    frame_written: Option<FrameData>,
     srgb_table: wgpu::Buffer,
     positions: Heap,
     attributes: Heap,
@@ -166,6 +167,7 @@ impl SceneBuffers {
             layout,
             group: None,
             frame: uniform("frame.uniform", size_of::<FrameData>() as u64),
+            frame_written: None,
             srgb_table,
             positions: Heap::new(gpu, "frame.positions"),
             attributes: Heap::new(gpu, "frame.attributes"),
@@ -214,10 +216,8 @@ impl SceneBuffers {
         self.last = None;
         let mut replaced = false;
         if only_moved {
-            for &i in &scene.moved {
-                self.update_instance(scene, i as usize);
-            }
-            let moved: Vec<_> = scene.moved.iter().map(|&i| i as usize).collect();
+            let mut moved: Vec<_> = scene.moved.iter().map(|&i| i as usize).collect();
+            moved.retain(|&i| self.update_instance(scene, i));
             self.instances.send(gpu, &moved);
         } else {
             replaced |= self.update_meshes(gpu, scene)?;
@@ -238,7 +238,11 @@ impl SceneBuffers {
         replaced |= self.lights.update(gpu, lights);
         let views = plan.views.iter().map(ShadowViewBytes::new).collect();
         replaced |= self.views.update(gpu, views);
-        gpu.upload(&self.frame, 0, bytemuck::bytes_of(&FrameData::new(scene, width, height)));
+        let frame = FrameData::new(scene, width, height);
+        if self.frame_written != Some(frame) {
+            gpu.upload(&self.frame, 0, bytemuck::bytes_of(&frame));
+            self.frame_written = Some(frame);
+        }
         if replaced || self.group.is_none() {
             self.group = Some(self.bind(gpu));
         }
@@ -378,13 +382,15 @@ impl SceneBuffers {
         self.instances.update(gpu, data)
     }
 
-    fn update_instance(&mut self, scene: &RenderScene, at: usize) {
+    /// True where the instance's record is another one now.
+    fn update_instance(&mut self, scene: &RenderScene, at: usize) -> bool {
         let instance = &scene.instances[at];
         let old = self.instances.copy[at];
         self.instances.copy[at] =
             InstanceData::new(&instance.world_from_object, old.first_index, old.first_vertex, old.material);
         self.draws[at].bounds_world =
             scene.meshes[instance.mesh as usize].bounds_object().transformed(&instance.world_from_object);
+        self.instances.copy[at] != old
     }
 }
 

@@ -51,6 +51,60 @@ pub fn emit_from_light(light: &Light, bounds: Aabb, xi: Vec2) -> EmittedRay {
     }
 }
 
+/// Where a source's own frame lies: what a path starts with there stays the same however the source moves.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct SourceFrame {
+    /// Of the source's frame, world space.
+    pub origin: Vec3,
+    /// World metres to one unit of the source's frame.
+    pub scale: f32,
+    /// Its unit axes, world space.
+    pub axes: [Vec3; 3],
+    /// Factor of the flux.
+    pub flux: Vec3,
+}
+
+impl SourceFrame {
+    /// The world's own.
+    pub const WORLD: Self = Self { origin: Vec3::ZERO, scale: 1.0, axes: [Vec3::X, Vec3::Y, Vec3::Z], flux: Vec3::ONE };
+
+    /// That of a light: [`emit_from_light`] is [`emit_in_frame`] placed by it, but for rounding.
+    pub fn of(light: &Light, bounds: Aabb) -> Self {
+        let z = light.direction_world;
+        let x = light.up_world.cross(z).normalize_or(math::orthonormal_basis(z).0);
+        let axes = [x, z.cross(x), z];
+        match light.kind {
+            LightKind::Point | LightKind::Spot { .. } => {
+                Self { origin: light.position_world, scale: 1.0, axes, flux: light.intensity }
+            }
+            LightKind::Directional => {
+                let radius = bounds.radius();
+                Self { origin: bounds.center(), scale: radius, axes, flux: light.intensity * (radius * radius) }
+            }
+        }
+    }
+
+    /// An emission in this frame, in the world.
+    pub fn place(&self, e: EmittedRay) -> EmittedRay {
+        let [x, y, z] = self.axes;
+        let to_world = |d: Vec3| x * d.x + y * d.y + z * d.z;
+        let origin = self.origin + to_world(e.ray.origin) * self.scale;
+        EmittedRay { ray: Ray { origin, direction: to_world(e.ray.direction), ..e.ray }, flux: e.flux * self.flux }
+    }
+}
+
+/// [`emit_from_light`] of a light of unit intensity in its own frame, in a scene of unit radius.
+pub fn emit_in_frame(kind: LightKind, xi: Vec2) -> EmittedRay {
+    let light = Light {
+        kind,
+        direction_world: Vec3::Z,
+        up_world: Vec3::Y,
+        intensity: Vec3::ONE,
+        ..Light::point(0, Vec3::ZERO)
+    };
+    emit_from_light(&light, Aabb { min: Vec3::NEG_X, max: Vec3::X }, xi)
+}
+
 /// A triangle that emits, for area sampling.
 #[derive(Clone, Copy, Debug)]
 pub struct EmissiveTriangle {
@@ -130,6 +184,35 @@ impl PathShares {
         let given: u32 = shares.iter().sum();
         for &i in order.iter().cycle().take(paths.saturating_sub(given) as usize) {
             shares[i] += 1;
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn starts_in_the_lights_own_frame_are_those_in_the_world() {
+        let bounds = Aabb { min: Vec3::new(-3.0, 0.0, -1.0), max: Vec3::new(2.0, 4.0, 7.0) };
+        let kinds = [LightKind::Point, LightKind::Spot { cos_inner: 0.9, cos_outer: 0.6 }, LightKind::Directional];
+        for (k, kind) in kinds.into_iter().enumerate() {
+            let direction_world = Vec3::new(0.3, -0.8, 0.1 * k as f32).normalize();
+            let light = Light {
+                kind,
+                direction_world,
+                up_world: math::orthonormal_basis(direction_world).1,
+                intensity: Vec3::new(3.0, 2.0, 0.5),
+                ..Light::point(1, Vec3::new(0.5, 3.0, -2.0))
+            };
+            for i in 0..64u32 {
+                let xi = Vec2::new((i as f32 + 0.5) / 64.0, sampling::radical_inverse(2, i));
+                let own = emit_from_light(&light, bounds, xi);
+                let placed = SourceFrame::of(&light, bounds).place(emit_in_frame(kind, xi));
+                assert!((own.ray.origin - placed.ray.origin).length() <= 1e-5 * bounds.radius(), "{kind:?} {xi}");
+                assert!((own.ray.direction - placed.ray.direction).length() <= 1e-6, "{kind:?} {xi}");
+                assert!((own.flux - placed.flux).abs().max_element() <= 1e-5 * own.flux.max_element(), "{kind:?} {xi}");
+            }
         }
     }
 }

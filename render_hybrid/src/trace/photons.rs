@@ -9,7 +9,7 @@ use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::{
-    emission::{self, EmissiveTriangle, PathShares},
+    emission::{self, EmissiveTriangle, PathShares, SourceFrame},
     sampling,
     surface::{NormalMatrices, Surface, surface_at},
 };
@@ -51,7 +51,9 @@ pub struct Photons {
 /// Where light paths begin and which way they turn: all that a tracer of them needs beside the scene.
 #[derive(Clone, Debug, Default)]
 pub struct LightPaths {
-    /// One a path.
+    /// One a light, and the world's for what emissive surfaces start.
+    pub frames: Vec<SourceFrame>,
+    /// One a path, in the frame of its source.
     pub starts: Vec<PathStart>,
     /// Points of the unit disc, for [`sampling::cosine_direction`]: bounce b of paths with number i at i · bounces + b.
     pub samples: Vec<[f32; 2]>,
@@ -72,6 +74,8 @@ pub struct PathStart {
     pub vpl: Option<Vpl>,
     /// Number within its source.
     pub index: u32,
+    /// Light, or the number of lights for emissive surfaces.
+    pub source: u32,
 }
 
 /// One light path to trace.
@@ -128,8 +132,10 @@ impl Photons {
         let tracer = PathTracer { scene, normals, accel: None, emissive, bounds, bounces, seed };
         let numbers = self.paths.iter().map(|p| p.index + 1).max().unwrap_or(0);
         let point = |index, bounce| sampling::concentric_disc(bounce_sample(index, bounce, seed)).to_array();
+        let of_lights = scene.lights.iter().map(|l| SourceFrame::of(l, bounds));
         LightPaths {
-            starts: self.paths.iter().map(|&p| tracer.start(p)).collect(),
+            frames: of_lights.chain([SourceFrame::WORLD]).collect(),
+            starts: self.paths.iter().map(|&p| tracer.start_in_frame(p)).collect(),
             samples: (0..numbers).flat_map(|i| (0..bounces).map(move |b| point(i, b))).collect(),
             bounces,
             slots_a_path: slots_a_path as u32,
@@ -168,21 +174,34 @@ struct PathTracer<'a> {
 }
 
 impl PathTracer<'_> {
-    fn start(&self, path: Path) -> PathStart {
+    fn xi(&self, path: Path) -> Vec2 {
         let shift = sampling::unit_f32(sampling::hash_combine(self.seed, 0xca70));
-        let xi = Vec2::new(
+        Vec2::new(
             (path.index as f32 + 0.5) / path.of as f32,
             (sampling::radical_inverse(2, path.index) + shift).fract(),
-        );
+        )
+    }
+
+    /// [`Self::start`] in the frame of its source.
+    fn start_in_frame(&self, path: Path) -> PathStart {
+        let Some(light) = self.scene.lights.get(path.source as usize) else { return self.start(path) };
+        let e = emission::emit_in_frame(light.kind, self.xi(path));
+        let share = 1.0 / path.of as f32;
+        PathStart { ray: e.ray, flux: e.flux * share, vpl: None, index: path.index, source: path.source }
+    }
+
+    fn start(&self, path: Path) -> PathStart {
+        let xi = self.xi(path);
         let share = 1.0 / path.of as f32;
         if (path.source as usize) < self.scene.lights.len() {
             let e = emission::emit_from_light(&self.scene.lights[path.source as usize], self.bounds, xi);
-            return PathStart { ray: e.ray, flux: e.flux * share, vpl: None, index: path.index };
+            let flux = e.flux * share;
+            return PathStart { ray: e.ray, flux, vpl: None, index: path.index, source: path.source };
         }
         let vpl = self.emissive_start(path, xi, share);
         let d = sampling::cosine_direction(vpl.normal_world, bounce_sample(path.index, self.bounces, self.seed));
         let ray = Ray::new(vpl.position_world + vpl.normal_world * vpl.error, d);
-        PathStart { ray, flux: vpl.flux, vpl: Some(vpl), index: path.index }
+        PathStart { ray, flux: vpl.flux, vpl: Some(vpl), index: path.index, source: path.source }
     }
 
     /// Fills a path's slots; returns the number of rays.

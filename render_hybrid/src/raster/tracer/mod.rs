@@ -201,6 +201,12 @@ impl GpuTracer {
         self.pipelines.insert(variant, pipeline);
     }
 
+    /// From the next frame on the layer holds, in place of light, each pixel's rays and the steps of their walks; compute pass
+    /// over the project's own trees alone.
+    pub fn show_work(&mut self, on: bool) {
+        self.variant.work = on && self.variant.heaps == HeapKind::Storage;
+    }
+
     /// Textures of the picture or of the shadows were replaced.
     pub fn unbind(&mut self) {
         self.group = None;

@@ -1,5 +1,6 @@
 //! VPLs on the GPU: light paths through the tracer's own trees, packed into the lists of the indirect pass and of the tracer's
-//! shading. Starts and sample points of the paths are sent where they changed, which a light at rest does not do.
+//! shading. Starts lie in the frames of their sources, so that a light that moves sends its frame alone; sample points of the
+//! paths are sent once.
 
 use std::collections::HashMap;
 
@@ -19,12 +20,14 @@ use crate::{
         readback::Mailbox,
         shader::VPL_CHUNK,
     },
-    trace::photons::LightPaths,
+    trace::{emission::SourceFrame, photons::LightPaths},
     twin::vpl::Vpl,
 };
 
 /// Words of a path's start.
 pub(crate) const PATH_WORDS: u32 = 6;
+/// Words of a source's frame.
+pub(crate) const SOURCE_WORDS: u32 = 4;
 /// Words of a VPL.
 pub(crate) const SLOT_WORDS: u32 = 3;
 const WORD_BYTES: u64 = size_of::<Word>() as u64;
@@ -46,16 +49,17 @@ pub(crate) struct GpuPhotons {
     pack: wgpu::ComputePipeline,
     pack_layout: wgpu::BindGroupLayout,
     inputs: Heap,
+    sources: Mirror,
     starts: Mirror,
     samples: Mirror,
     trace_uniform: wgpu::Buffer,
     pack_uniform: wgpu::Buffer,
-    written: ([u32; 4], [u32; 8]),
+    written: ([u32; 8], [u32; 8]),
     slots: GrowBuffer,
     packed: GrowBuffer,
     groups: Option<[wgpu::BindGroup; 2]>,
-    /// Slots of all paths, paths.
-    count: [u32; 2],
+    /// Slots of all paths, paths, sources.
+    count: [u32; 3],
     /// The lists hold what the last [`Self::record`] made, and nobody else wrote into them.
     pub valid: bool,
     /// Nothing is left to do in this frame.
@@ -83,15 +87,16 @@ impl GpuPhotons {
             pack: compute_pipeline(gpu, &pack_module, &pack_pipeline_layout, "pack_photons"),
             pack_layout,
             inputs: Heap::new(gpu, "light path", HeapKind::Storage),
+            sources: Mirror::default(),
             starts: Mirror::default(),
             samples: Mirror::default(),
-            trace_uniform: uniform(gpu, "photons.uniform", 16),
+            trace_uniform: uniform(gpu, "photons.uniform", 32),
             pack_uniform: uniform(gpu, "photons.pack_uniform", 32),
             written: Default::default(),
             slots: GrowBuffer::new(gpu, "photons.slots", U::STORAGE, 256),
             packed: GrowBuffer::new(gpu, "photons.packed", U::STORAGE | U::COPY_SRC, 256),
             groups: None,
-            count: [0; 2],
+            count: [0; 3],
             valid: false,
             kept: false,
         };
@@ -123,22 +128,29 @@ impl GpuPhotons {
         stride: u64,
     ) -> Result<bool, String> {
         let paths = inputs.paths;
+        let sources: Vec<Word> = paths.frames.iter().flat_map(words_of_source).collect();
         let words = words_of_paths(paths);
         let samples: Vec<Word> = paths.samples.iter().map(|s| [s[0].to_bits(), s[1].to_bits(), 0, 0]).collect();
-        let (at, slots) = (words.len() as u64, (paths.starts.len() as u32) * paths.slots_a_path);
+        let slots = (paths.starts.len() as u32) * paths.slots_a_path;
+        let count = [slots, paths.starts.len() as u32, paths.frames.len() as u32];
+        // In the heap: sources, starts, sample points.
+        let first_start = sources.len() as u64;
+        let at = first_start + words.len() as u64;
         let mut replaced = self.inputs.reserve(gpu, at + samples.len() as u64)?;
-        if replaced || paths.starts.len() as u32 != self.count[1] {
-            self.starts.clear();
-            self.samples.clear();
+        if replaced || count[1..] != self.count[1..] {
+            for mirror in [&mut self.sources, &mut self.starts, &mut self.samples] {
+                mirror.clear();
+            }
         }
-        self.starts.update(gpu, &self.inputs, 0, words);
+        self.sources.update(gpu, &self.inputs, 0, sources);
+        self.starts.update(gpu, &self.inputs, first_start, words);
         self.samples.update(gpu, &self.inputs, at, samples);
         let chunks = slots.div_ceil(VPL_CHUNK);
         let vpl_bytes = u64::from(slots * SLOT_WORDS) * WORD_BYTES;
         replaced |= self.slots.reserve(gpu, vpl_bytes);
         replaced |= self.packed.reserve(gpu, stride * u64::from(chunks));
         let vpls_replaced = scene.reserve_vpls(gpu, slots)?;
-        let trace = [paths.starts.len() as u32, paths.bounces, paths.slots_a_path, at as u32];
+        let trace = [count[1], paths.bounces, paths.slots_a_path, at as u32, first_start as u32, 0, 0, 0];
         // Infinity is no number for a shader.
         let bound = geometry_term_max.min(f32::MAX).to_bits();
         let pack = [slots, paths.slots_a_path, inputs.subsets, (stride / WORD_BYTES) as u32, bound, chunks, 0, 0];
@@ -150,7 +162,7 @@ impl GpuPhotons {
             gpu.upload(&self.pack_uniform, 0, bytemuck::cast_slice(&pack));
         }
         self.written = (trace, pack);
-        self.count = [slots, paths.starts.len() as u32];
+        self.count = count;
         self.kept = self.valid && inputs.same && same;
         if replaced || vpls_replaced || self.groups.is_none() {
             let trace =
@@ -251,6 +263,12 @@ impl ReadPhotons {
     }
 }
 
+fn words_of_source(s: &SourceFrame) -> [Word; SOURCE_WORDS as usize] {
+    let word = |v: glam::Vec3, w: f32| [v.x, v.y, v.z, w].map(f32::to_bits);
+    let [x, y, z] = s.axes;
+    [word(s.origin, s.scale), word(x, s.flux.x), word(y, s.flux.y), word(z, s.flux.z)]
+}
+
 fn words_of_paths(paths: &LightPaths) -> Vec<Word> {
     let word = |v: glam::Vec3, w: u32| [v.x.to_bits(), v.y.to_bits(), v.z.to_bits(), w];
     let mut out = Vec::with_capacity(paths.starts.len() * PATH_WORDS as usize);
@@ -261,7 +279,7 @@ fn words_of_paths(paths: &LightPaths) -> Vec<Word> {
             word(s.ray.direction, s.index),
             word(s.flux, u32::from(s.vpl.is_some())),
             word(vpl.position_world, vpl.error.to_bits()),
-            word(vpl.normal_world, 0),
+            word(vpl.normal_world, s.source),
             word(vpl.flux, 0),
         ]);
     }

@@ -64,6 +64,8 @@ pub(crate) struct Variant {
     /// Rays that can wait at once: [`Self::FEW_RAYS`] or 64. Adapters pay for what is reserved, not for what is used, and
     /// software ones for compiling it.
     pub rays: u32,
+    /// Shows the work of each pixel in place of light: rays, steps of their walks.
+    pub work: bool,
     /// Levels of both trees together: [`Self::FEW_LEVELS`] or all that trees may have.
     pub levels: u32,
 }
@@ -75,7 +77,8 @@ impl Variant {
 
     pub fn new(heaps: HeapKind) -> Self {
         let (rays, levels) = (Self::FEW_RAYS, Self::FEW_LEVELS);
-        Self { heaps, kd: false, rayquery: false, traced_shadows: false, traced_vpls: false, rays, levels }
+        let (kd, rayquery, traced_shadows, traced_vpls, work) = (false, false, false, false, false);
+        Self { heaps, kd, rayquery, traced_shadows, traced_vpls, work, rays, levels }
     }
 }
 
@@ -134,6 +137,7 @@ fn constants(v: &Variant) -> String {
     u("VERTEX_COLOR", 3);
     u("VERTEX_TANGENT", 4);
     u("PATH_WORDS", super::photons::PATH_WORDS);
+    u("SOURCE_WORDS", super::photons::SOURCE_WORDS);
     u("SLOT_WORDS", super::photons::SLOT_WORDS);
     u("TRACE_GROUP", TRACE_GROUP);
     u("TRACE_COUNTERS", COUNTERS);
@@ -147,6 +151,7 @@ fn constants(v: &Variant) -> String {
     b("TREES_ARE_KD", v.kd);
     b("TRACED_SHADOWS", v.traced_shadows);
     b("TRACED_VPLS", v.traced_vpls);
+    b("SHOWS_WORK", v.work);
     let mut f = |name: &str, value: f32| out.push_str(&format!("const {name}: f32 = {value:e};\n"));
     f("SURFACE_ERROR", 32.0 * f32::EPSILON * 0.5);
     f("GRAZING_COSINE", 0.125);
@@ -187,13 +192,14 @@ mod tests {
     fn variants() -> Vec<Variant> {
         let mut all = Vec::new();
         for heaps in [HeapKind::Storage, HeapKind::Texture] {
-            for bits in 0..16u32 {
+            for bits in 0..32u32 {
                 let on = |i: u32| bits & 1 << i != 0;
                 let (rays, levels) = if on(3) { (64, Variant::ALL_LEVELS) } else { (15, Variant::FEW_LEVELS) };
                 let v = Variant {
                     kd: on(0),
                     traced_shadows: on(1),
                     traced_vpls: on(2),
+                    work: on(4),
                     rays,
                     levels,
                     ..Variant::new(heaps)

@@ -1,6 +1,10 @@
 // The scene as all passes see it. Layouts are held against raster/layouts.rs by its tests (name, offset, size).
 
+// What seldom changes comes first: Mesa 22's lavapipe compiles kernels anew whenever a uniform's first word does.
 struct Frame {
+    size: vec2u,
+    orthographic: u32,
+    light_count: u32,
     eye_world: vec3f,
     near: f32,
     right_world: vec3f,
@@ -11,11 +15,9 @@ struct Frame {
     // Depth of the farthest surface along `forward_world`; used by orthographic views alone.
     far: f32,
     background: vec3f,
-    orthographic: u32,
+    unused0: u32,
     ambient: vec3f,
-    light_count: u32,
-    size: vec2u,
-    unused: vec2u,
+    unused1: u32,
 }
 
 struct Instance {

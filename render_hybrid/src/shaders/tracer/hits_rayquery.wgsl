@@ -6,6 +6,7 @@
 
 // No walk of ours, no cap.
 var<private> capped: bool;
+var<private> walked: u32;
 
 fn committed(ray: Ray, any_hit: bool) -> Hit {
     var query: ray_query;

@@ -1,5 +1,5 @@
 // Light paths: each invocation follows one, and each of its diffuse reflections is a VPL. Starts and sample points come from
-// the CPU, which sends them anew only where a light moved. Twin: trace/photons.rs.
+// the CPU once; a light that moves sends its frame. Twins: trace/photons.rs, trace/emission.rs.
 #import tracer/scene
 #import tracer/hits
 #import shared/sampling
@@ -10,9 +10,16 @@ struct PhotonUniform {
     slots_a_path: u32,
     // First word of the sample points: points of the unit disc, one a bounce of each path number.
     samples: u32,
+    // First word of the paths' starts.
+    starts: u32,
+    unused0: u32,
+    unused1: u32,
+    unused2: u32,
 }
 @group(1) @binding(0) var<uniform> photons: PhotonUniform;
-// PATH_WORDS a path: origin and least distance; direction and number; flux and whether a VPL stands at the start; that VPL.
+// SOURCE_WORDS a source: origin and scale, axes of its frame, in the fourth channels of which its flux lies. Then PATH_WORDS a
+// path, in the frame of its source: origin and least distance; direction and number; flux and whether a VPL stands at the
+// start; that VPL, with the source's number.
 @group(1) @binding(1) var<storage, read> inputs: array<vec4u>;
 // VPLs of SLOT_WORDS: place and error, normal, flux. In the fourth channels of a path's first slot: its rays, and whether
 // a walk met its cap.
@@ -42,17 +49,24 @@ fn trace_photons(
     if path >= photons.paths {
         return;
     }
-    let at = path * PATH_WORDS;
+    let at = photons.starts + path * PATH_WORDS;
     let start = bitcast<vec4f>(inputs[at]);
     let along = inputs[at + 1u];
     let carried = inputs[at + 2u];
-    var ray = Ray(start.xyz, start.w, bitcast<vec3f>(along.xyz), FAR_AWAY);
-    var flux = bitcast<vec3f>(carried.xyz);
+    let source = inputs[at + 4u].w * SOURCE_WORDS;
+    let place = bitcast<vec4f>(inputs[source]);
+    let x = bitcast<vec4f>(inputs[source + 1u]);
+    let y = bitcast<vec4f>(inputs[source + 2u]);
+    let z = bitcast<vec4f>(inputs[source + 3u]);
+    let d = bitcast<vec3f>(along.xyz);
+    let origin = (x.xyz * start.x + y.xyz * start.y + z.xyz * start.z) * place.w + place.xyz;
+    var ray = Ray(origin, start.w, x.xyz * d.x + y.xyz * d.y + z.xyz * d.z, FAR_AWAY);
+    var flux = bitcast<vec3f>(carried.xyz) * vec3f(x.w, y.w, z.w);
     let first = path * photons.slots_a_path;
     var used = 0u;
     if carried.w != 0u {
-        let place = bitcast<vec4f>(inputs[at + 3u]);
-        put(first, place.xyz, place.w, float3(inputs[at + 4u]), float3(inputs[at + 5u]));
+        let own = bitcast<vec4f>(inputs[at + 3u]);
+        put(first, own.xyz, own.w, float3(inputs[at + 4u]), float3(inputs[at + 5u]));
         used = 1u;
     }
     var rays = 0u;

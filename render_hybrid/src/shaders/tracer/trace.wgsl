@@ -31,7 +31,11 @@ fn trace_masked(
         return;
     }
     let pixel = vec2u(pixels[i] % frame.size.x, pixels[i] / frame.size.x);
-    textureStore(traced, pixel, vec4f(trace_pixel(pixel), 1.0));
+    var shown = trace_pixel(pixel);
+    if SHOWS_WORK {
+        shown = vec3f(f32(rays[RAYS_REFLECTION] + rays[RAYS_REFRACTION]), f32(walked), 1.0);
+    }
+    textureStore(traced, pixel, vec4f(shown, 1.0));
     // Sums of whole numbers: the order in which invocations add them does not show.
     for (var kind = 0u; kind < RAYS_CAPPED; kind += 1u) {
         if rays[kind] != 0u {

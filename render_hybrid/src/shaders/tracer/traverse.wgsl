@@ -9,6 +9,8 @@ const ORDER_COUNT_SHIFT: u32 = 24u;
 var<private> stack: array<vec2u, TRAVERSAL_STACK>;
 // Set where a walk met its cap, which no valid tree does.
 var<private> capped: bool;
+// Steps of all walks, counted where they are shown.
+var<private> walked: u32;
 
 // Eight keys, one a child: entry distance with the child's number in the lowest bits; NONE: not entered.
 fn child_key(at: u32, child: u32, s: RaySpace, t_min: f32, limit: f32) -> u32 {
@@ -123,6 +125,9 @@ fn trace_ray(ray: Ray, any_hit: bool) -> Hit {
     var order = 0u;
     var next = head.tlas_root;
     for (var step = 0u; step < head.traversal_cap; step += 1u) {
+        if SHOWS_WORK {
+            walked += 1u;
+        }
         if next != NONE {
             // A node: its children before those that wait.
             let inside = ordered_children(next, space, ray.t_min, best.t);
