@@ -265,15 +265,14 @@ struct Sent {
 
 /// Holds each frame to what moved in it.
 /// * `extra`: bytes that the lane may send beside that
-fn frames_send_what_moved(renderer: &mut Renderer, name: &str, extra: impl Fn(&Frame) -> u64) -> Sent {
+fn frames_send_what_moved(renderer: &mut Renderer, name: &str, vpls: u32, extra: impl Fn(&Frame) -> u64) -> Sent {
     // The frame's uniform, the head of the tracer's scene, the tracer's uniform and those of the light paths, which hold bounds
     // that follow the scene's.
     const FRAME_BYTES: u64 = 112 + 32 + 48 + 32 + 32;
     // An instance's records in both layouts, and the boxes of its ancestors: two levels of nodes here, in which up to four
     // words lie between two that change.
     const MOVED_BYTES: u64 = 96 + 192 + 2 * 96;
-    // No moments of a size that matters, few VPLs: what is sent depends on neither.
-    let vpl = Some(VplOptions { count: 16, ..small(16).vpl.unwrap() });
+    let vpl = Some(VplOptions { count: vpls, ..small(16).vpl.unwrap() });
     let settings = RenderSettings { vpl, ..small(16) };
     let begun = Instant::now();
     let (mut first, mut sent, mut last) = (0, Vec::new(), Vec::<Light>::new());
@@ -313,7 +312,7 @@ fn ninety_frames_send_what_moved() {
                 Tracer::Cpu => 16 + 48 * u64::from(frame.stats.vpls) + 16 + 16 * frame.stats.masked_pixels,
                 _ => 0,
             };
-            let s = frames_send_what_moved(&mut renderer, info.name, extra);
+            let s = frames_send_what_moved(&mut renderer, info.name, 16, extra);
             println!(
                 "{}, {}: first frame {} bytes, then {} (median), at most {} ({} moved); {:.1} s",
                 info.name,
@@ -326,6 +325,13 @@ fn ninety_frames_send_what_moved() {
             );
             if tracer == Tracer::Gpu {
                 assert!(s.first > 10 * s.most.0, "{}: {} bytes and then {}", info.name, s.first, s.most.0);
+            }
+            if (tracer, info.name) == (Tracer::Gpu, "two-spheres") {
+                // More VPLs make the first frame greater and no other.
+                let mut fresh = self::renderer(test, tracer).unwrap();
+                let more = frames_send_what_moved(&mut fresh, info.name, 256, extra);
+                assert!(more.first > s.first);
+                assert_eq!((more.most, more.median), (s.most, s.median));
             }
         }
     }

@@ -65,9 +65,9 @@ pub(crate) const PACKED_LAYERS: &[(&str, PackedLayer)] = &[
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 #[repr(C)]
 pub(crate) struct FrameData {
-    pub size: [u32; 2],
     pub orthographic: u32,
     pub light_count: u32,
+    pub size: [u32; 2],
     pub eye_world: Vec3,
     pub near: f32,
     pub right_world: Vec3,
@@ -95,9 +95,9 @@ impl FrameData {
             bounds.corners().iter().map(|c| forward_world.dot(*c - pose.translation)).fold(0.0f32, f32::max)
         };
         Self {
-            size: [width, height],
             orthographic: u32::from(matches!(camera.projection, Projection::Orthographic { .. })),
             light_count: scene.lights.len() as u32,
+            size: [width, height],
             eye_world: pose.translation,
             // Reversed floating-point depth keeps its relative precision at any near plane, but not at none.
             near: camera.near.max(f32::MIN_POSITIVE * 1e12).max(bounds.radius().min(1.0) * 1e-9),
@@ -448,9 +448,9 @@ mod tests {
             "gbuffer",
             "Frame",
             FrameData,
-            size,
             orthographic,
             light_count,
+            size,
             eye_world,
             near,
             right_world,

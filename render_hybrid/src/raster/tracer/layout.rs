@@ -54,6 +54,34 @@ pub(crate) struct TraceUniform {
     pub seed: u32,
 }
 
+/// Light paths of a frame.
+#[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C)]
+pub(crate) struct PhotonUniform {
+    pub paths: u32,
+    pub bounces: u32,
+    pub slots_a_path: u32,
+    pub samples: u32,
+    pub starts: u32,
+    pub unused0: u32,
+    pub unused1: u32,
+    pub unused2: u32,
+}
+
+/// Where their VPLs go.
+#[derive(Clone, Copy, Debug, Default, PartialEq, bytemuck::Pod, bytemuck::Zeroable)]
+#[repr(C)]
+pub(crate) struct PackUniform {
+    pub slots: u32,
+    pub slots_a_path: u32,
+    pub subsets: u32,
+    pub stride: u32,
+    pub geometry_term_max: f32,
+    pub chunks: u32,
+    pub unused0: u32,
+    pub unused1: u32,
+}
+
 /// Most rays that a pixel can have: a path of `depth` interfaces branches at each, and passes at most 4 · depth hidden ones
 /// on the way. Above 2²⁴ the cap is no longer that bound; a pixel that meets it is counted.
 pub(crate) fn ray_cap(depth: u32) -> u32 {
@@ -190,8 +218,8 @@ mod tests {
     use std::mem::offset_of;
 
     macro_rules! assert_layout {
-        ($wgsl:literal, $rust:ty, $($field:ident),+ $(,)?) => {{
-            let text = text("trace", &Variant::new(HeapKind::Storage));
+        ($kernel:literal, $wgsl:literal, $rust:ty, $($field:ident),+ $(,)?) => {{
+            let text = text($kernel, &Variant::new(HeapKind::Storage));
             let module = naga::front::wgsl::parse_str(&text).unwrap();
             let (members, span) = module
                 .types
@@ -212,6 +240,7 @@ mod tests {
     #[test]
     fn uniforms_agree_with_wgsl() {
         assert_layout!(
+            "trace",
             "SceneHead",
             SceneHead,
             tlas_root,
@@ -224,6 +253,33 @@ mod tests {
             slack
         );
         assert_layout!(
+            "photons",
+            "PhotonUniform",
+            PhotonUniform,
+            paths,
+            bounces,
+            slots_a_path,
+            samples,
+            starts,
+            unused0,
+            unused1,
+            unused2
+        );
+        assert_layout!(
+            "photons_pack",
+            "PackUniform",
+            PackUniform,
+            slots,
+            slots_a_path,
+            subsets,
+            stride,
+            geometry_term_max,
+            chunks,
+            unused0,
+            unused1
+        );
+        assert_layout!(
+            "trace",
             "TraceUniform",
             TraceUniform,
             max_depth,

@@ -7,6 +7,7 @@ use std::collections::HashMap;
 use super::{
     compute_pass,
     heap::{Heap, Mirror},
+    layout::{PackUniform, PhotonUniform},
     module,
     scene::TracerScene,
     shaders::{HeapKind, TRACE_GROUP, Variant},
@@ -54,7 +55,7 @@ pub(crate) struct GpuPhotons {
     samples: Mirror,
     trace_uniform: wgpu::Buffer,
     pack_uniform: wgpu::Buffer,
-    written: ([u32; 8], [u32; 8]),
+    written: (PhotonUniform, PackUniform),
     slots: GrowBuffer,
     packed: GrowBuffer,
     groups: Option<[wgpu::BindGroup; 2]>,
@@ -90,8 +91,8 @@ impl GpuPhotons {
             sources: Mirror::default(),
             starts: Mirror::default(),
             samples: Mirror::default(),
-            trace_uniform: uniform(gpu, "photons.uniform", 32),
-            pack_uniform: uniform(gpu, "photons.pack_uniform", 32),
+            trace_uniform: uniform(gpu, "photons.uniform", size_of::<PhotonUniform>() as u64),
+            pack_uniform: uniform(gpu, "photons.pack_uniform", size_of::<PackUniform>() as u64),
             written: Default::default(),
             slots: GrowBuffer::new(gpu, "photons.slots", U::STORAGE, 256),
             packed: GrowBuffer::new(gpu, "photons.packed", U::STORAGE | U::COPY_SRC, 256),
@@ -150,16 +151,30 @@ impl GpuPhotons {
         replaced |= self.slots.reserve(gpu, vpl_bytes);
         replaced |= self.packed.reserve(gpu, stride * u64::from(chunks));
         let vpls_replaced = scene.reserve_vpls(gpu, slots)?;
-        let trace = [count[1], paths.bounces, paths.slots_a_path, at as u32, first_start as u32, 0, 0, 0];
-        // Infinity is no number for a shader.
-        let bound = geometry_term_max.min(f32::MAX).to_bits();
-        let pack = [slots, paths.slots_a_path, inputs.subsets, (stride / WORD_BYTES) as u32, bound, chunks, 0, 0];
+        let trace = PhotonUniform {
+            paths: count[1],
+            bounces: paths.bounces,
+            slots_a_path: paths.slots_a_path,
+            samples: at as u32,
+            starts: first_start as u32,
+            ..PhotonUniform::default()
+        };
+        let pack = PackUniform {
+            slots,
+            slots_a_path: paths.slots_a_path,
+            subsets: inputs.subsets,
+            stride: (stride / WORD_BYTES) as u32,
+            // Infinity is no number for a shader.
+            geometry_term_max: geometry_term_max.min(f32::MAX),
+            chunks,
+            ..PackUniform::default()
+        };
         let same = !replaced && !vpls_replaced && self.written == (trace, pack);
         if self.written.0 != trace {
-            gpu.upload(&self.trace_uniform, 0, bytemuck::cast_slice(&trace));
+            gpu.upload(&self.trace_uniform, 0, bytemuck::bytes_of(&trace));
         }
         if self.written.1 != pack {
-            gpu.upload(&self.pack_uniform, 0, bytemuck::cast_slice(&pack));
+            gpu.upload(&self.pack_uniform, 0, bytemuck::bytes_of(&pack));
         }
         self.written = (trace, pack);
         self.count = count;

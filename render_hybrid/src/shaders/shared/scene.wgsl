@@ -2,9 +2,9 @@
 
 // What seldom changes comes first: Mesa 22's lavapipe compiles kernels anew whenever a uniform's first word does.
 struct Frame {
-    size: vec2u,
     orthographic: u32,
     light_count: u32,
+    size: vec2u,
     eye_world: vec3f,
     near: f32,
     right_world: vec3f,
