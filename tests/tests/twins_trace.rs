@@ -215,12 +215,12 @@ fn boxes_are_never_missed() {
 #[test]
 fn places_directions_and_normals_of_instances() {
     let Some(probe) = probe() else { return };
-    use catoptra_engine::glam::{Affine3, Mat3};
+    use catoptra_engine::glam::Affine3;
     let place = Affine3::from_translation(Vec3::new(3.0, -2.0, 0.5))
         * Affine3::from_rotation_y(0.7)
         * Affine3::from_scale(Vec3::new(1.5, -0.4, 2.0))
         * Affine3::from_rotation_x(0.3);
-    let m: Mat3 = place.matrix3.into();
+    let m = place.matrix3;
     let cofactor = m.inverse().transpose() * m.determinant() * m.determinant().signum();
     let vec = |n: Vec3| format!("vec3f({:e}, {:e}, {:e})", n.x, n.y, n.z);
     let rows = [0, 1, 2].map(|k| {
