@@ -246,10 +246,8 @@ fn pixels(state: &mut FrameState, level: SimdLevel, scene: &RenderScene, setting
     state.camera.build(level, scene, &state.accel, [settings.width, settings.height]);
     let setup = milliseconds(start);
     let start = Instant::now();
-    if interleaved == 1 {
-        frame.stats.rays.camera += light_grid(state, level, scene, settings);
-        frame.stats.stages_ms.vpls += milliseconds(start);
-    }
+    frame.stats.rays.camera += light_grid(state, level, scene, settings);
+    frame.stats.stages_ms.vpls += milliseconds(start);
     let start = Instant::now();
     let mut guides = std::mem::take(&mut state.guides);
     guides.resize(if interleaved > 1 { frame.image.pixels.len() } else { 0 }, Guide::default());

@@ -315,6 +315,8 @@ fn light(
     });
     let none = VplMaps::default();
     gpu.set_vpl_maps(if too_many { &none } else { &state.vpl_maps })?;
+    let few = settings.vpl.is_some_and(|v| v.mirrored > 0);
+    gpu.set_mirrored_vpls(few.then_some(state.mirrored.vpls.as_slice()));
     let mut traced = TracedLight::default();
     if trace_lights || trace_vpls {
         traced = clock.run("visibility", &mut ms.direct, || {

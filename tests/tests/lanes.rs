@@ -3,7 +3,7 @@
 use catoptra_demos::scenes;
 use catoptra_engine::{Extracted, RenderScene, app};
 use catoptra_render_hybrid::{
-    Frame, Layer, RasterLane, RenderSettings, Renderer, RendererOptions, Shadows, VplOptions,
+    Frame, Layer, RasterLane, RenderSettings, Renderer, RendererOptions, Shadows, VplOptions, VplShadows,
     metrics::{Comparison, compare},
     raster::GpuRaster,
 };
@@ -27,7 +27,7 @@ fn renderer(raster: RasterLane) -> Renderer {
 
 fn settings() -> RenderSettings {
     let preset = RenderSettings::default();
-    // The GPU lane has no grid; what the grid changes is held in light_grid.rs.
+    // The grid has a test of its own below.
     let vpl = preset.vpl.map(|v| VplOptions { spacing: 1, ..v });
     RenderSettings { width: SIZE, height: SIZE, keep_layers: true, vpl, ..preset }
 }
@@ -70,6 +70,95 @@ fn lanes_agree_on_every_scene_and_layer() {
             assert!(ma.abs_diff(mb) * 200 <= ma, "{} frame {frame}: {ma} and {mb} masked pixels", info.name);
         }
     }
+}
+
+/// 256 VPLs with maps on a grid of 4 pixels, which is what 16 are at 1024x1024; a set of their own lights what the grid cannot.
+fn on_grid(spacing: u32, mirrored: u32) -> RenderSettings {
+    let bound = Some(20.0);
+    let vpl = VplOptions { count: 256, geometry_term_max: bound, spacing, mirrored, ..VplOptions::default() };
+    RenderSettings { width: 256, height: 256, vpl: Some(vpl), ..settings() }
+}
+
+/// Most FLIP mean of the indirect layer on the grid: a tenth of what the lanes differ by where one of them has none.
+const GRID_FLIP_MEAN: f64 = 0.002;
+
+#[test]
+fn lanes_agree_on_the_light_grid() {
+    if opened_or_skip("lanes_agree_on_the_light_grid", GpuRaster::new()).is_none() {
+        return;
+    }
+    let (mut cpu, mut gpu) = (renderer(RasterLane::Cpu), renderer(RasterLane::Gpu));
+    for info in &scenes::SCENES {
+        let scene = scene(info.name, 30);
+        for mirrored in [64, 0] {
+            let a = cpu.render(&scene, &on_grid(4, mirrored)).unwrap();
+            let b = gpu.render(&scene, &on_grid(4, mirrored)).unwrap();
+            assert_eq!((a.stats.raster, b.stats.raster), (RasterLane::Cpu, RasterLane::Gpu));
+            for (layer, most) in [(Layer::Indirect, GRID_FLIP_MEAN), (Layer::Final, FLIP_MEAN)] {
+                let c = layer_difference(&b, &a, layer);
+                let (mean, p99) = (c.flip.mean(), c.flip.percentile(0.99));
+                println!("{}, {mirrored} in mirrors, {layer:?}: FLIP mean {mean:.5}, p99 {p99:.4}", info.name);
+                assert!(mean <= most && agrees(&c), "{}, {layer:?}: FLIP mean {mean}, p99 {p99}", info.name);
+            }
+            if mirrored > 0 {
+                // What must fail: one lane without the grid, or without the set for pixels that it cannot tell about.
+                let every = gpu.render(&scene, &on_grid(1, mirrored)).unwrap();
+                let mean = layer_difference(&every, &a, Layer::Indirect).flip.mean();
+                println!("{}, the GPU lane without a grid: FLIP mean {mean:.5}", info.name);
+                assert!(mean > GRID_FLIP_MEAN, "{}: a missing grid passes with {mean}", info.name);
+            }
+        }
+    }
+}
+
+#[test]
+fn a_grid_of_several_chunks_on_a_ragged_picture() {
+    if opened_or_skip("a_grid_of_several_chunks_on_a_ragged_picture", GpuRaster::new()).is_none() {
+        return;
+    }
+    let (mut cpu, mut gpu) = (renderer(RasterLane::Cpu), renderer(RasterLane::Gpu));
+    let scene = scene("two-spheres", 30);
+    // 2500 VPLs are three chunks; neither side is a multiple of the spacing.
+    for (shadows, mirrored) in [(VplShadows::Off, 0), (VplShadows::Maps, 0), (VplShadows::Off, 1500)] {
+        let vpl = VplOptions { count: 2500, shadows, map_size: 16, mirrored, spacing: 2, ..VplOptions::default() };
+        let settings = RenderSettings { width: 141, height: 133, vpl: Some(vpl), ..settings() };
+        let a = cpu.render(&scene, &settings).unwrap();
+        let b = gpu.render(&scene, &settings).unwrap();
+        let c = layer_difference(&b, &a, Layer::Indirect);
+        let mean = c.flip.mean();
+        println!("{shadows:?}, {mirrored} in mirrors: FLIP mean {mean:.5}");
+        assert!(mean <= GRID_FLIP_MEAN, "{shadows:?}, {mirrored}: {mean}");
+        // The same frame without the grid is another.
+        let every = RenderSettings { vpl: Some(VplOptions { spacing: 1, ..vpl }), ..settings };
+        assert_ne!(gpu.render(&scene, &every).unwrap().layer(Layer::Indirect), b.layer(Layer::Indirect));
+    }
+}
+
+#[test]
+fn only_renewed_maps_are_sent() {
+    if opened_or_skip("only_renewed_maps_are_sent", GpuRaster::new()).is_none() {
+        return;
+    }
+    let mut gpu = renderer(RasterLane::Gpu);
+    let mut scene_30 = scene("rolling-box", 30);
+    let sent = |gpu: &mut Renderer, scene: &RenderScene| gpu.render(scene, &on_grid(4, 64)).unwrap().stats.bytes_up;
+    let first = sent(&mut gpu, &scene_30);
+    // Nearly all of the 256 paths meet something.
+    let all = 200 * 32 * 32 * 4;
+    assert!(first >= all, "{first} bytes");
+    let again = sent(&mut gpu, &scene_30);
+    assert!(again < all / 8, "{again} bytes for the same scene");
+    // The box moves on while the light stands still: some maps see it.
+    let mut moved = scene("rolling-box", 31);
+    moved.lights.clone_from(&scene_30.lights);
+    let some = sent(&mut gpu, &moved);
+    println!("bytes sent: first {first}, again {again}, moved body {some}");
+    assert!(some > again && some < all, "{some} bytes");
+    // And the picture is that of a lane that never drew before.
+    let kept = gpu.render(&moved, &on_grid(4, 64)).unwrap();
+    assert_eq!(kept.image, renderer(RasterLane::Gpu).render(&moved, &on_grid(4, 64)).unwrap().image);
+    scene_30.lights.clear();
+    assert!(gpu.render(&scene_30, &on_grid(4, 64)).is_ok(), "no light at all");
 }
 
 #[test]

@@ -5,6 +5,7 @@ use catoptra_render_hybrid::{
     ShadowFilter,
     raster::testing::ShaderProbe,
     twin::{
+        grid::{GridPoint, likeness, near_of_four, near_of_sixteen},
         shadow::{evsm_visibility, moments_of},
         vpl_maps::{octahedron_coordinates, octahedron_point, texel_occlusion},
     },
@@ -87,4 +88,51 @@ fn octahedral_maps() {
     let cpu: Vec<_> = rows.iter().map(|r| [texel_occlusion(r[0], r[1], r[2], 1.0 / r[2])]).collect();
     // The slack multiplies roundings by 2/0.04.
     assert_close("texel_occlusion", &gpu, &cpu, 0.0, 1e-4);
+}
+
+#[test]
+fn weights_of_the_light_grid() {
+    let Some(probe) = probe() else { return };
+    let vector = |i: u32| Vec3::new(noise(i) * 2.0 - 1.0, noise(i + 3000) * 2.0 - 1.0, noise(i + 6000) * 2.0 - 1.0);
+    // Normals up to far apart, places from on the plane to beside it, and the place itself.
+    let rows: Vec<[f32; 12]> = (0..2000)
+        .map(|i| {
+            let m = (vector(i) + Vec3::Z * 0.1).normalize();
+            let n = (m + vector(i + 9000) * noise(i + 500)).normalize_or(m);
+            let at = vector(i + 18_000) * 10.0;
+            let along = m.cross(vector(i + 27_000));
+            let to = along + m * (noise(i + 900) * 0.5 * along.length());
+            let p = if i % 50 == 0 { at } else { at + to * 0.3 };
+            [m, at, p, n].map(|v| v.to_array()).as_flattened().try_into().unwrap()
+        })
+        .collect();
+    let of = |r: &[f32; 12], k: usize| Vec3::from_slice(&r[3 * k..]);
+    let body = "y[0] = grid_likeness(vec3f(x[0], x[1], x[2]), vec3f(x[3], x[4], x[5]), vec3f(x[6], x[7], x[8]),
+        vec3f(x[9], x[10], x[11]));";
+    let gpu = probe.evaluate(&["shared/light_grid"], body, &rows).unwrap();
+    let cpu: Vec<_> = rows
+        .iter()
+        .map(|r| {
+            let g = GridPoint { normal: of(r, 0), position_world: of(r, 1), ..GridPoint::default() };
+            [likeness(&g, of(r, 2), of(r, 3))]
+        })
+        .collect();
+    let partial = cpu.iter().filter(|w| w[0] > 0.01 && w[0] < 0.99).count();
+    let none = cpu.iter().filter(|w| w[0] == 0.0).count();
+    assert!(partial > 100 && none > 100, "{partial} partly alike, {none} not at all");
+    assert!(
+        cpu.iter().step_by(50).zip(rows.iter().step_by(50)).all(|(w, r)| w[0] == 1.0 || of(r, 0).dot(of(r, 3)) < 0.9)
+    );
+    // The plane's span multiplies the roundings of places by 1/0.07, and those are 10 m from the origin.
+    assert_close("grid_likeness", &gpu, &cpu, 0.0, 2e-4);
+
+    let rows: Vec<[f32; 3]> = (0..400).map(|i| [noise(i), noise(i + 700), (i % 4) as f32]).collect();
+    let body = "let i = u32(x[2]); let f = vec2f(x[0], x[1]);
+        y[0] = grid_near_of_four(f, vec2u(i & 1u, i >> 1u)); y[1] = grid_near_of_sixteen(f * 4.0 - 2.0);";
+    let gpu = probe.evaluate(&["shared/light_grid"], body, &rows).unwrap();
+    let cpu: Vec<_> = rows
+        .iter()
+        .map(|r| [near_of_four(r[0], r[1], r[2] as usize), near_of_sixteen(r[0] * 4.0 - 2.0, r[1] * 4.0 - 2.0)])
+        .collect();
+    assert_close("grid_near", &gpu, &cpu, 1e-5, 1e-6);
 }

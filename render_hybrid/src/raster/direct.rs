@@ -121,22 +121,22 @@ impl DirectPass {
 
 /// Writes one whole layer of a texture.
 pub(crate) fn write_texture(gpu: &Gpu, texture: &wgpu::Texture, layer: u32, bytes: &[u8], texel_bytes: u32) {
-    write_part(gpu, texture, layer, texture.height(), bytes, texel_bytes);
+    write_part(gpu, texture, [0, layer], texture.height(), bytes, texel_bytes);
 }
 
-/// Writes the first whole rows of a texture, as many as the bytes fill.
-pub(crate) fn write_rows(gpu: &Gpu, texture: &wgpu::Texture, bytes: &[u8], texel_bytes: u32) {
+/// Writes whole rows of a texture from row `first` on, as many as the bytes fill.
+pub(crate) fn write_rows(gpu: &Gpu, texture: &wgpu::Texture, first: u32, bytes: &[u8], texel_bytes: u32) {
     let rows = bytes.len() as u32 / (texture.width() * texel_bytes);
-    write_part(gpu, texture, 0, rows, bytes, texel_bytes);
+    write_part(gpu, texture, [first, 0], rows, bytes, texel_bytes);
 }
 
-fn write_part(gpu: &Gpu, texture: &wgpu::Texture, layer: u32, height: u32, bytes: &[u8], texel_bytes: u32) {
+fn write_part(gpu: &Gpu, texture: &wgpu::Texture, [y, z]: [u32; 2], height: u32, bytes: &[u8], texel_bytes: u32) {
     let width = texture.width();
     gpu.queue.write_texture(
         wgpu::TexelCopyTextureInfo {
             texture,
             mip_level: 0,
-            origin: wgpu::Origin3d { x: 0, y: 0, z: layer },
+            origin: wgpu::Origin3d { x: 0, y, z },
             aspect: wgpu::TextureAspect::All,
         },
         bytes,

@@ -4,6 +4,7 @@ use super::{
     device::{Gpu, GrowBuffer},
     direct::{write_rows, write_texture},
     layouts::{IndirectHead, VplData},
+    light_grid::GridPass,
     pipeline::{Slot, draw_pipeline, group, group_layout, pipeline_layout},
     scene_buffers::SceneBuffers,
     shader::VPL_CHUNK,
@@ -14,7 +15,16 @@ use crate::{
     twin::{vpl::Vpl, vpl_maps::VplMaps},
 };
 
-const CHUNK_SIZE: u64 = size_of::<IndirectHead>() as u64 + VPL_CHUNK as u64 * size_of::<VplData>() as u64;
+/// Where the VPLs of a frame lie among the chunks.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct VplChunks {
+    /// Chunks from the first on that hold all VPLs.
+    pub all: u32,
+    /// First of the chunks that light pixels of which the grid cannot tell, and all pixels where there is none.
+    first: u32,
+    /// Number of those.
+    count: u32,
+}
 
 /// Sums the contribution of all VPLs.
 pub(crate) struct IndirectPass {
@@ -25,24 +35,40 @@ pub(crate) struct IndirectPass {
     /// Shadow maps of the VPLs, a row each; a single texel where there are none.
     maps: Target,
     map_size: u32,
+    /// What the texture's first rows hold.
+    held_maps: Vec<f32>,
+    /// VPLs of pixels that the grid cannot tell about; `None`: all.
+    few: Option<Vec<VplData>>,
 }
 
 /// Bindings that read the second and the first of the two targets.
 pub(crate) struct IndirectGroups([wgpu::BindGroup; 2]);
 
 impl IndirectPass {
+    /// What a shader sees of a chunk, bytes.
+    pub const CHUNK_SIZE: u64 = size_of::<IndirectHead>() as u64 + VPL_CHUNK as u64 * size_of::<VplData>() as u64;
+
     pub fn new(gpu: &Gpu, frame: &wgpu::BindGroupLayout) -> Result<Self, RenderError> {
-        use Slot::Texture;
+        use Slot::{Texture, TextureArray, Uniform};
         let layout = group_layout(
             gpu,
             "indirect.group",
             wgpu::ShaderStages::FRAGMENT,
-            &[Slot::DynamicUniform(CHUNK_SIZE), Texture, Texture, Texture, Texture, Texture],
+            &[
+                Slot::DynamicUniform(Self::CHUNK_SIZE),
+                Texture,
+                Texture,
+                Texture,
+                Texture,
+                Texture,
+                Uniform,
+                TextureArray,
+            ],
         );
         let pipeline_layout = pipeline_layout(gpu, "indirect", Some(frame), Some(&layout));
         let usage = wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST;
         let alignment = u64::from(gpu.device.limits().min_uniform_buffer_offset_alignment);
-        let stride = CHUNK_SIZE.next_multiple_of(alignment);
+        let stride = Self::CHUNK_SIZE.next_multiple_of(alignment);
         Ok(Self {
             pipeline: draw_pipeline(gpu, "indirect", &pipeline_layout, RADIANCE_FORMAT, false),
             layout,
@@ -50,6 +76,8 @@ impl IndirectPass {
             stride,
             maps: Self::maps_target(gpu, [1, 1])?,
             map_size: 0,
+            held_maps: Vec::new(),
+            few: None,
         })
     }
 
@@ -58,8 +86,8 @@ impl IndirectPass {
         Target::new(gpu, "indirect.vpl_maps", [width, height, 1], wgpu::TextureFormat::R32Float, usage, false)
     }
 
-    /// Maps for the VPLs of the next [`Self::upload`], in the order of VPLs; of size 0: none. True where the texture was
-    /// replaced, so that [`Self::bind`] must follow.
+    /// Maps for the VPLs of the next [`Self::upload`], in the order of VPLs; of size 0: none. Only those are sent that the GPU
+    /// does not hold. True where the texture was replaced, so that [`Self::bind`] must follow.
     pub fn upload_maps(&mut self, gpu: &Gpu, maps: &VplMaps) -> Result<bool, RenderError> {
         let width = maps.size * maps.size;
         self.map_size = if maps.texels.is_empty() { 0 } else { maps.size };
@@ -70,10 +98,33 @@ impl IndirectPass {
         let t = &self.maps.texture;
         let replaced = t.width() != width || t.height() < rows;
         if replaced {
+            self.held_maps.clear();
             self.maps = Self::maps_target(gpu, [width, rows])?;
         }
-        write_rows(gpu, &self.maps.texture, bytemuck::cast_slice(&maps.texels), 4);
+        let row = |texels: &[f32], i: usize| -> bool {
+            let at = i * width as usize..(i + 1) * width as usize;
+            self.held_maps.get(at.clone()) == Some(&texels[at])
+        };
+        let renewed: Vec<usize> = (0..rows as usize).filter(|&i| !row(&maps.texels, i)).collect();
+        for run in renewed.chunk_by(|a, b| a + 1 == *b) {
+            let (first, end) = (run[0], run[run.len() - 1] + 1);
+            let texels = &maps.texels[first * width as usize..end * width as usize];
+            write_rows(gpu, &self.maps.texture, first as u32, bytemuck::cast_slice(texels), 4);
+        }
+        if !renewed.is_empty() {
+            let held = self.held_maps.len().max(maps.texels.len());
+            self.held_maps.resize(held, 0.0);
+            for i in renewed {
+                let at = i * width as usize..(i + 1) * width as usize;
+                self.held_maps[at.clone()].copy_from_slice(&maps.texels[at]);
+            }
+        }
         Ok(replaced)
+    }
+
+    /// VPLs without shadows that light, in the next [`Self::upload`], pixels of which the grid cannot tell; `None`: all VPLs do.
+    pub fn set_few(&mut self, few: Option<&[Vpl]>) {
+        self.few = few.map(|few| lit(few).collect());
     }
 
     /// The maps, a row each, and texels a side of one; 0: none.
@@ -81,33 +132,39 @@ impl IndirectPass {
         (&self.maps.view, self.map_size)
     }
 
-    pub fn bind(&self, gpu: &Gpu, t: &PictureTargets) -> IndirectGroups {
-        let chunk = || {
-            wgpu::BindingResource::Buffer(wgpu::BufferBinding {
-                buffer: &self.chunks.buffer,
-                offset: 0,
-                size: std::num::NonZeroU64::new(CHUNK_SIZE),
-            })
-        };
+    /// The first chunk; others by offset.
+    pub fn chunk_resource(&self) -> wgpu::BindingResource<'_> {
+        wgpu::BindingResource::Buffer(wgpu::BufferBinding {
+            buffer: &self.chunks.buffer,
+            offset: 0,
+            size: std::num::NonZeroU64::new(Self::CHUNK_SIZE),
+        })
+    }
+
+    pub fn bind(&self, gpu: &Gpu, t: &PictureTargets, grid: &GridPass) -> IndirectGroups {
         let view = |v| wgpu::BindingResource::TextureView(v);
         IndirectGroups([1, 0].map(|previous: usize| {
+            let [shape, points] = grid.resources();
             let resources = [
-                chunk(),
+                self.chunk_resource(),
                 view(&t.position.view),
                 view(&t.normals.view),
                 view(&t.base_color.view),
                 view(&t.indirect[previous].view),
                 view(&self.maps.view),
+                shape,
+                points,
             ];
             group(gpu, "indirect.group", &self.layout, &resources)
         }))
     }
 
-    /// Makes room for chunks of `vpls` VPLs that another pass writes, laid out as [`Self::upload`] does; (number of chunks, true
-    /// where the buffer was replaced, so that [`Self::bind`] must follow).
-    pub fn reserve(&mut self, gpu: &Gpu, vpls: u32) -> (u32, bool) {
-        let chunks = vpls.div_ceil(VPL_CHUNK);
-        (chunks, self.chunks.reserve(gpu, (self.stride * u64::from(chunks)).max(self.stride)))
+    /// Makes room for chunks of `vpls` VPLs that another pass writes, laid out as [`Self::upload`] does; true where the buffer
+    /// was replaced, so that [`Self::bind`] must follow.
+    pub fn reserve(&mut self, gpu: &Gpu, vpls: u32) -> (VplChunks, bool) {
+        let all = vpls.div_ceil(VPL_CHUNK);
+        let replaced = self.chunks.reserve(gpu, (self.stride * u64::from(all)).max(self.stride));
+        (VplChunks { all, first: 0, count: all }, replaced)
     }
 
     /// The chunks, and bytes from one to the next.
@@ -115,31 +172,42 @@ impl IndirectPass {
         (&self.chunks.buffer, self.stride)
     }
 
-    /// Uploads the VPLs that carry light; (number of chunks, true where the buffer was replaced, so that [`Self::bind`]
-    /// must follow).
-    pub fn upload(&mut self, gpu: &Gpu, vpls: &[Vpl], geometry_term_max: f32) -> (u32, bool) {
-        // Empty slots add nothing.
-        let lit: Vec<VplData> = vpls
-            .iter()
-            .zip(0..)
-            .filter(|(v, _)| v.flux.max_element() > 0.0)
-            .map(|(v, map)| VplData::new(v, map))
-            .collect();
-        let chunks: Vec<_> = lit.chunks(VPL_CHUNK as usize).collect();
-        let replaced = self.chunks.reserve(gpu, (self.stride * chunks.len() as u64).max(self.stride));
-        for (i, chunk) in chunks.iter().enumerate() {
-            let offset = self.stride * i as u64;
+    /// Uploads the VPLs that carry light; true where the buffer was replaced, so that [`Self::bind`] must follow.
+    /// * `grid`: pixels of which it cannot tell are lit by those of [`Self::set_few`]
+    pub fn upload(&mut self, gpu: &Gpu, vpls: &[Vpl], geometry_term_max: f32, grid: bool) -> (VplChunks, bool) {
+        let of_all: Vec<VplData> = lit(vpls).collect();
+        let few = self.few.take();
+        let of_few = few.as_deref().filter(|_| grid && !of_all.is_empty());
+        let all = of_all.len().div_ceil(VPL_CHUNK as usize) as u32;
+        // Where the few are none, an empty chunk makes pixels black.
+        let count = of_few.map_or(all, |few| few.len().div_ceil(VPL_CHUNK as usize).max(1) as u32);
+        let chunks = VplChunks { all, first: if of_few.is_some() { all } else { 0 }, count };
+        let replaced = self.chunks.reserve(gpu, self.stride * u64::from((chunks.first + count).max(1)));
+        self.upload_list(gpu, 0, &of_all, geometry_term_max, self.map_size);
+        if let Some(few) = of_few {
+            self.upload_list(gpu, all, few, geometry_term_max, 0);
+        }
+        self.few = few;
+        (chunks, replaced)
+    }
+
+    fn upload_list(&self, gpu: &Gpu, first: u32, vpls: &[VplData], geometry_term_max: f32, map_size: u32) {
+        let mut lists: Vec<_> = vpls.chunks(VPL_CHUNK as usize).collect();
+        if lists.is_empty() {
+            lists.push(&[]);
+        }
+        for (i, list) in lists.into_iter().enumerate() {
+            let offset = self.stride * (u64::from(first) + i as u64);
             let head = IndirectHead {
-                count: chunk.len() as u32,
+                count: list.len() as u32,
                 accumulate: u32::from(i > 0),
                 // Infinity is no number for a shader.
                 geometry_term_max: geometry_term_max.min(f32::MAX),
-                map_size: self.map_size,
+                map_size,
             };
             gpu.upload(&self.chunks.buffer, offset, bytemuck::bytes_of(&head));
-            gpu.upload(&self.chunks.buffer, offset + size_of::<IndirectHead>() as u64, bytemuck::cast_slice(chunk));
+            gpu.upload(&self.chunks.buffer, offset + size_of::<IndirectHead>() as u64, bytemuck::cast_slice(list));
         }
-        (chunks.len() as u32, replaced)
     }
 
     /// Uploads a layer that was made on the CPU in place of [`Self::record`].
@@ -160,19 +228,26 @@ impl IndirectPass {
         scene: &SceneBuffers,
         groups: &IndirectGroups,
         targets: &PictureTargets,
-        chunks: u32,
+        chunks: VplChunks,
     ) {
-        if chunks == 0 {
+        let VplChunks { first, count, .. } = chunks;
+        if count == 0 {
             draw_pass(encoder, "indirect", &targets.indirect[0].view, wgpu::Color::BLACK, None);
         }
-        for i in 0..chunks {
+        for i in 0..count {
             // The last chunk ends in the first target.
-            let into = ((chunks - 1 - i) % 2) as usize;
+            let into = ((count - 1 - i) % 2) as usize;
             let mut pass = draw_pass(encoder, "indirect", &targets.indirect[into].view, wgpu::Color::BLACK, None);
             pass.set_pipeline(&self.pipeline);
             pass.set_bind_group(0, scene.group(), &[]);
-            pass.set_bind_group(1, &groups.0[into], &[(self.stride * u64::from(i)) as u32]);
+            pass.set_bind_group(1, &groups.0[into], &[(self.stride * u64::from(first + i)) as u32]);
             pass.draw(0..3, 0..1);
         }
     }
+}
+
+/// VPLs that carry light, each with the row of its map: empty slots add nothing.
+fn lit(vpls: &[Vpl]) -> impl Iterator<Item = VplData> {
+    let list = vpls.iter().zip(0..).filter(|(v, _)| v.flux.max_element() > 0.0);
+    list.map(|(v, map)| VplData::new(v, map))
 }

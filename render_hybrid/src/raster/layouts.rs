@@ -373,6 +373,14 @@ pub(crate) struct IndirectHead {
 
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 #[repr(C)]
+pub(crate) struct GridUniform {
+    pub size: [u32; 2],
+    pub spacing: u32,
+    pub unused: u32,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[repr(C)]
 pub(crate) struct DirectUniform {
     pub visibility: u32,
     pub min_variance: f32,
@@ -553,6 +561,7 @@ mod tests {
         );
         assert_layout!("direct", "DirectUniform", DirectUniform, visibility, min_variance, light_bleed_reduction, evsm);
         assert_layout!("indirect", "Vpl", VplData, position_world, error, normal_world, map, flux, unused2);
+        assert_layout!("indirect", "GridUniform", GridUniform, size, spacing, unused);
         assert_layout!("traced_scatter", "TracedPixel", TracedPixel, radiance, pixel);
         assert_layout!("present", "PresentUniform", PresentUniform, exposure, encode_srgb, unused0, unused1);
 

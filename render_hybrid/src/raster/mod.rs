@@ -16,6 +16,7 @@ mod gbuffer;
 mod host_view;
 mod indirect;
 mod layouts;
+mod light_grid;
 mod moments;
 mod pipeline;
 mod present;
@@ -40,7 +41,7 @@ use crate::{
     error::RenderError,
     output::StageInterval,
     settings::{GlassShadows, RenderSettings, Shadows},
-    twin::{shadow::ShadowPlan, vpl::Vpl, vpl_maps::VplMaps},
+    twin::{grid, shadow::ShadowPlan, vpl::Vpl, vpl_maps::VplMaps},
 };
 use device::Gpu;
 use readback::{Mailbox, Readback};
@@ -56,6 +57,7 @@ struct Bindings {
     gbuffer: wgpu::BindGroup,
     compact: wgpu::BindGroup,
     direct: wgpu::BindGroup,
+    light_grid: light_grid::GridGroups,
     indirect: indirect::IndirectGroups,
     compose: compose::ComposeGroups,
     present: wgpu::BindGroup,
@@ -116,6 +118,7 @@ pub struct GpuRaster {
     gbuffer: gbuffer::GbufferPass,
     compact: compact::CompactPass,
     direct: direct::DirectPass,
+    light_grid: light_grid::GridPass,
     indirect: indirect::IndirectPass,
     compose: compose::ComposePass,
     present: present::PresentPass,
@@ -158,6 +161,7 @@ impl GpuRaster {
                 gbuffer::GbufferPass::new(&gpu, frame),
                 compact::CompactPass::new(&gpu),
                 direct::DirectPass::new(&gpu, frame)?,
+                light_grid::GridPass::new(&gpu, frame)?,
                 indirect::IndirectPass::new(&gpu, frame)?,
                 compose::ComposePass::new(&gpu),
                 present::PresentPass::new(&gpu),
@@ -167,8 +171,21 @@ impl GpuRaster {
                 scene,
             ))
         })?;
-        let (moments, blur, gbuffer, compact, direct, indirect, compose, present, layers, picture, shadows, scene) =
-            parts;
+        let (
+            moments,
+            blur,
+            gbuffer,
+            compact,
+            direct,
+            light_grid,
+            indirect,
+            compose,
+            present,
+            layers,
+            picture,
+            shadows,
+            scene,
+        ) = parts;
         Ok(Self {
             open: None,
             mail: Mail {
@@ -190,6 +207,7 @@ impl GpuRaster {
             gbuffer,
             compact,
             direct,
+            light_grid,
             indirect,
             compose,
             present,
@@ -385,10 +403,19 @@ impl GpuRaster {
             gbuffer: self.gbuffer.bind(gpu, picture),
             compact: self.compact.bind(gpu, picture),
             direct: self.direct.bind(gpu, picture, shadows),
-            indirect: self.indirect.bind(gpu, picture),
+            light_grid: self.light_grid.bind(gpu, picture, &self.indirect),
+            indirect: self.indirect.bind(gpu, picture, &self.light_grid),
             compose: self.compose.bind(gpu, picture),
             present: self.present.bind(gpu, &picture.last.view),
         });
+    }
+
+    /// What the passes of indirect light share was replaced.
+    fn bind_indirect(&mut self) {
+        if let Some(bindings) = &mut self.bindings {
+            bindings.light_grid = self.light_grid.bind(&self.gpu, &self.picture, &self.indirect);
+            bindings.indirect = self.indirect.bind(&self.gpu, &self.picture, &self.light_grid);
+        }
     }
 
     fn begun(&self) -> Result<FrameState, RenderError> {
@@ -444,7 +471,8 @@ impl GpuRaster {
         self.step(|s| s.timer.take(&s.gpu, s.mail.slot, out))
     }
 
-    /// Shadow maps for the VPLs of the next [`Self::light`], in the order of VPLs; of size 0: none. Sends them.
+    /// Shadow maps for the VPLs of the next [`Self::light`], in the order of VPLs; of size 0: none. Sends those that the GPU
+    /// does not hold.
     ///
     /// # Errors
     /// [`RenderError::Gpu`], also where there are more maps than a texture has rows: see [`Self::most_vpl_maps`].
@@ -452,14 +480,20 @@ impl GpuRaster {
         self.begun()?;
         self.step(|s| {
             let replaced = s.indirect.upload_maps(&s.gpu, maps)?;
-            if let (true, Some(bindings)) = (replaced, &mut s.bindings) {
-                bindings.indirect = s.indirect.bind(&s.gpu, &s.picture);
+            if replaced {
+                s.bind_indirect();
             }
             if let (true, Some(tracer)) = (replaced, &mut s.tracer) {
                 tracer.unbind();
             }
             Ok(())
         })
+    }
+
+    /// VPLs without shadows that light, from the next [`Self::light`] on, pixels of which the grid of light cannot tell
+    /// ([`crate::VplOptions::spacing`]); `None`: all VPLs do.
+    pub fn set_mirrored_vpls(&mut self, vpls: Option<&[Vpl]>) {
+        self.indirect.set_few(vpls);
     }
 
     /// Most VPLs whose maps this adapter holds.
@@ -514,23 +548,24 @@ impl GpuRaster {
         }
         let shadows = if frame.moments { Shadows::Moments } else { Shadows::Off };
         self.direct.set_options(gpu, shadows, light_visibility.is_some(), &frame.settings.moments);
-        let (mut chunks, mut emptied) = (0, false);
+        let (mut chunks, mut emptied) = (indirect::VplChunks::default(), false);
         match indirect {
             Some(layer) => self.indirect.upload_layer(gpu, &self.picture, layer)?,
             None => {
+                let remade = self.light_grid.set(gpu, &self.picture, grid::spacing_of(&frame.settings))?;
                 let made = self.tracer.as_ref().filter(|_| vpls.is_empty()).and_then(GpuTracer::made_vpls);
                 let (count, replaced) = match made {
                     Some(most) => self.indirect.reserve(gpu, most),
-                    None => self.indirect.upload(gpu, vpls, geometry_term_max),
+                    None => self.indirect.upload(gpu, vpls, geometry_term_max, self.light_grid.is_on()),
                 };
                 (chunks, emptied) = (count, replaced);
-                if let (true, Some(bindings)) = (replaced, &mut self.bindings) {
-                    bindings.indirect = self.indirect.bind(gpu, &self.picture);
+                if remade || replaced {
+                    self.bind_indirect();
                 }
             }
         }
 
-        let Self { gpu, open, scene, direct, indirect: indirect_pass, picture, timer, tracer, .. } = self;
+        let Self { gpu, open, scene, direct, light_grid, indirect: indirect_pass, picture, timer, tracer, .. } = self;
         let Some(bindings) = &self.bindings else { unreachable!("a frame was begun") };
         let encoder = open.get_or_insert_with(|| gpu.encoder("frame"));
         if let Some(tracer) =
@@ -542,6 +577,10 @@ impl GpuRaster {
         timer.stage(gpu, encoder, "direct", |encoder| direct.record(encoder, scene, &bindings.direct, picture))?;
         if indirect.is_none() {
             timer.stage(gpu, encoder, "indirect", |encoder| {
+                if light_grid.is_on() {
+                    let stride = indirect_pass.chunks().1;
+                    light_grid.record(encoder, scene, &bindings.light_grid, chunks.all, stride);
+                }
                 indirect_pass.record(encoder, scene, &bindings.indirect, picture, chunks);
             })?;
         }

@@ -1,6 +1,7 @@
 //! WGSL sources: imports, constants generated from Rust, dumping.
 
 use crate::twin::{
+    grid,
     shadow::{EVSM_EXPONENTS, GAUSSIAN_7},
     vpl_maps::{DEPTH_SLACK, NEAREST_PLANE},
 };
@@ -22,6 +23,7 @@ pub const PASSES: &[(&str, &str)] = sources![
     "gbuffer",
     "compact",
     "direct",
+    "light_grid",
     "indirect",
     "traced_scatter",
     "compose",
@@ -45,6 +47,8 @@ pub const SHARED: &[(&str, &str)] = sources![
     "shared/shadow",
     "shared/vpl",
     "shared/vpl_maps",
+    "shared/vpl_chunk",
+    "shared/light_grid",
     "shared/fullscreen",
     "shared/intersect",
     "shared/sampling",
@@ -113,6 +117,12 @@ pub fn generated_constants() -> String {
     f("EVSM_NEGATIVE", EVSM_EXPONENTS[1]);
     f("VPL_DEPTH_SLACK", DEPTH_SLACK);
     f("VPL_NEAREST_PLANE_INVERSE", 1.0 / NEAREST_PLANE);
+    f("GRID_LEAST_COSINE", grid::LEAST_COSINE);
+    f("GRID_COSINE_SPAN", grid::COSINE_SPAN);
+    f("GRID_OFF_PLANE", grid::OFF_PLANE);
+    f("GRID_OFF_PLANE_SPAN", grid::OFF_PLANE_SPAN);
+    f("GRID_LEAST_WEIGHT", grid::LEAST_WEIGHT);
+    f("GRID_ROUNDING", grid::ROUNDING);
     f("RAY_PAD", flat::PAD);
     f("RAY_LEAST_SLOPE", flat::LEAST_SLOPE);
     f("TRIANGLE_CONDITION", flat::CONDITION);

@@ -1,23 +1,15 @@
-// Indirect light: the contribution of up to VPL_CHUNK virtual point lights, added to that of earlier chunks.
-// In a uniform buffer: on llvmpipe twice as fast as a storage buffer, and constant-cached on GPUs.
+// Indirect light: from the grid where its points can tell, elsewhere the contribution of up to VPL_CHUNK virtual point lights,
+// added to that of earlier chunks.
 #import shared/scene
 #import shared/look
 #import shared/octahedral
-#import shared/vpl
+#import shared/vpl_chunk
 #import shared/vpl_maps
+#import shared/light_grid
 #import shared/fullscreen
 
 @group(0) @binding(2) var<storage, read> materials: array<Material>;
 
-struct IndirectUniform {
-    count: u32,
-    // 0 for the first chunk, which has nothing to add to.
-    accumulate: u32,
-    geometry_term_max: f32,
-    // Texels a side of the VPLs' shadow maps; 0: they throw none.
-    map_size: u32,
-    vpls: array<Vpl, VPL_CHUNK>,
-}
 @group(1) @binding(0) var<uniform> pass_uniform: IndirectUniform;
 @group(1) @binding(1) var position: texture_2d<f32>;
 @group(1) @binding(2) var normals: texture_2d<f32>;
@@ -25,12 +17,15 @@ struct IndirectUniform {
 @group(1) @binding(4) var previous: texture_2d<f32>;
 // One row a map.
 @group(1) @binding(5) var vpl_maps: texture_2d<f32>;
+@group(1) @binding(6) var<uniform> shape: GridUniform;
+@group(1) @binding(7) var grid: texture_2d_array<f32>;
 
 @vertex
 fn vertex(@builtin(vertex_index) vertex_index: u32) -> @builtin(position) vec4f {
     return fullscreen_position(vertex_index);
 }
 
+// w: 0 where the grid cannot tell, so that later chunks add to it.
 @fragment
 fn fragment(@builtin(position) position_pixel: vec4f) -> @location(0) vec4f {
     let pixel = vec2u(position_pixel.xy);
@@ -46,7 +41,20 @@ fn fragment(@builtin(position) position_pixel: vec4f) -> @location(0) vec4f {
     if material.unlit != 0u || weight <= 0.0 {
         return vec4f(0.0, 0.0, 0.0, 1.0);
     }
+    var before = vec4f(0.0);
+    if pass_uniform.accumulate != 0u {
+        before = textureLoad(previous, pixel, 0);
+        if before.w > 0.5 {
+            return before;
+        }
+    }
     let n = octahedral_decode(textureLoad(normals, pixel, 0).zw);
+    if shape.spacing > 1u && pass_uniform.accumulate == 0u {
+        let told = grid_irradiance(grid, shape, pixel, place.xyz, n);
+        if told.w > 0.5 {
+            return vec4f(color.xyz * (weight * told.xyz), 1.0);
+        }
+    }
     var sum = vec3f(0.0);
     for (var i = 0u; i < pass_uniform.count; i += 1u) {
         let irradiance = vpl_irradiance(pass_uniform.vpls[i], place.xyz, n, pass_uniform.geometry_term_max);
@@ -58,9 +66,5 @@ fn fragment(@builtin(position) position_pixel: vec4f) -> @location(0) vec4f {
             sum += irradiance * vpl_visibility(vpl_maps, vpl.map, pass_uniform.map_size, place.xyz - center, n);
         }
     }
-    var radiance = color.xyz * (weight * sum);
-    if pass_uniform.accumulate != 0u {
-        radiance += textureLoad(previous, pixel, 0).xyz;
-    }
-    return vec4f(radiance, 1.0);
+    return vec4f(before.xyz + color.xyz * (weight * sum), 0.0);
 }

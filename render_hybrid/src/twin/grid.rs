@@ -1,10 +1,13 @@
 //! Indirect light on a coarse grid of the picture, carried from there to the pixels along surfaces.
 //!
-//! All VPLs are evaluated where the camera's rays through every `spacing`-th pixel of every `spacing`-th row meet something. A
-//! grid point keeps, per channel, the vector sum of what arrives, so that a pixel's own normal can be put in: n·V is the exact
-//! irradiance wherever the same VPLs lie above both horizons. A pixel takes the mean of the four points around it, weighed by
-//! nearness and by how far it lies on their surface; where none does, of the sixteen around it; where none of those does, it
-//! is lit as hits in mirrors are, by a smaller set where there is one. So far-off edges are never blurred across, and the cost is that of 1/`spacing`² of the pixels.
+//! All VPLs are evaluated at what every `spacing`-th pixel of every `spacing`-th row shows; places beyond the picture are at its
+//! last pixel. A grid point keeps, per channel, the vector sum of what arrives, so that a pixel's own normal can be put in: n·V
+//! is the exact irradiance wherever the same VPLs lie above both horizons. A pixel takes the mean of the four points around it,
+//! weighed by nearness and by how far it lies on their surface; where none does, of the sixteen around it; where none of those
+//! does, it is lit as hits in mirrors are, by a smaller set where there is one. So far-off edges are never blurred across, and
+//! the cost is that of 1/`spacing`² of the pixels.
+//!
+//! Twins: `shaders/light_grid.wgsl`, `shaders/shared/light_grid.wgsl` (tests/twins_light.rs).
 //!
 //! Sources: Ward & Heckbert, "Irradiance Gradients", EGWR 1992 (indirect light is smooth along surfaces); Segovia et al.,
 //! "Non-interleaved Deferred Shading of Interleaved Sample Patterns", Graphics Hardware 2006 (the geometry-aware filter).
@@ -16,7 +19,7 @@ use std::sync::Mutex;
 use super::gbuffer::point_of;
 use crate::{
     accel::{Hit, Ray},
-    settings::{RenderSettings, SimdLevel, VplShadows},
+    settings::{RenderSettings, SimdLevel, VplOptions, VplShadows},
     simd::dispatch,
     trace::{
         camera_rays::camera_ray,
@@ -27,24 +30,29 @@ use crate::{
 };
 
 /// Cosine between two normals from which on their light is alike, and what is added until it counts fully.
-const LEAST_COSINE: f32 = 0.7;
-const COSINE_SPAN: f32 = 0.2;
+pub(crate) const LEAST_COSINE: f32 = 0.7;
+/// See [`LEAST_COSINE`].
+pub(crate) const COSINE_SPAN: f32 = 0.2;
 /// Squared share of a neighbour's distance that it may lie off the plane and count fully, and what is added until it counts
 /// nothing.
-const OFF_PLANE: f32 = 0.02;
-const OFF_PLANE_SPAN: f32 = 0.07;
-/// Weights of four neighbours that add up to less are no surface's.
-const LEAST_WEIGHT: f32 = 0.02;
+pub(crate) const OFF_PLANE: f32 = 0.02;
+/// See [`OFF_PLANE`].
+pub(crate) const OFF_PLANE_SPAN: f32 = 0.07;
+/// Weights of the neighbours that add up to less are no surface's.
+pub(crate) const LEAST_WEIGHT: f32 = 0.02;
+/// Square of the share of its coordinates by which a place is uncertain: two lanes, or a ray and a pixel, that see the same
+/// place may be so far apart, and the direction between them is none.
+pub(crate) const ROUNDING: f32 = 1e-10;
 
 /// A place of the grid.
 #[derive(Clone, Copy, Debug, Default)]
-struct GridPoint {
+pub struct GridPoint {
     /// The place, world space.
-    position_world: Vec3,
+    pub position_world: Vec3,
     /// Unit shading normal; zero: nothing matte is seen here.
-    normal: Vec3,
+    pub normal: Vec3,
     /// Per channel the sum of flux/π · G/cos · direction, W/m².
-    arriving: [Vec3; 3],
+    pub arriving: [Vec3; 3],
 }
 
 /// Memory of a thread.
@@ -74,10 +82,8 @@ impl IrradianceGrid {
         if spacing <= 1 || ctx.vpls.is_empty() {
             return 0;
         }
-        let (width, height) = (ctx.settings.width, ctx.settings.height);
-        // One more than the runs of sixteen pixels cover, so that every pixel lies between four.
-        self.columns = (width.next_multiple_of(LANES as u32) / spacing + 1) as usize;
-        let rows = (height.div_ceil(spacing) + 1) as usize;
+        let [columns, rows] = grid_size([ctx.settings.width, ctx.settings.height], spacing).map(|n| n as usize);
+        self.columns = columns;
         self.points.resize(self.columns * rows, GridPoint::default());
         self.scratch.resize_with(rayon::current_num_threads(), Mutex::default);
         let (scratch, columns) = (&self.scratch, self.columns);
@@ -142,8 +148,7 @@ impl IrradianceGrid {
         let (mut sum, mut weight) = (Vec3::ZERO, 0.0f32);
         for k in 0..4 {
             let g = &self.points[corner + k % 2 + k / 2 * self.columns];
-            let near = if k % 2 == 0 { 1.0 - fx } else { fx } * if k < 2 { 1.0 - fy } else { fy };
-            let w = near * likeness(g, position, n);
+            let w = near_of_four(fx, fy, k) * likeness(g, position, n);
             sum += Vec3::from(g.arriving.map(|v| w * positive(n.dot(v))));
             weight += w;
         }
@@ -160,8 +165,7 @@ impl IrradianceGrid {
             for gx in span(x, self.columns) {
                 let g = &self.points[gy * self.columns + gx];
                 let (dx, dy) = (gx as f32 * s as f32 - x as f32, gy as f32 * s as f32 - y as f32);
-                let near = 1.0 / ((dx * dx + dy * dy) / (s * s) as f32 + 0.25);
-                let w = near * likeness(g, position, n);
+                let w = near_of_sixteen(dx / s as f32, dy / s as f32) * likeness(g, position, n);
                 sum += Vec3::from(g.arriving.map(|v| w * positive(n.x * v.x + n.y * v.y + n.z * v.z)));
                 weight += w;
             }
@@ -181,9 +185,29 @@ fn unit(x: f32) -> f32 {
     if x < 1.0 { x } else { 1.0 }
 }
 
-/// How far a place lies on the surface of a grid point, in [0, 1].
+/// Weight of corner `k` (upper left, upper right, lower left, lower right) of a cell at (fx, fy) in it.
+///
+/// Twin: `shaders/shared/light_grid.wgsl`.
 #[inline(always)]
-fn likeness(g: &GridPoint, position: Vec3, n: Vec3) -> f32 {
+pub fn near_of_four(fx: f32, fy: f32, k: usize) -> f32 {
+    let x = if k % 2 == 0 { 1.0 - fx } else { fx };
+    let y = if k < 2 { 1.0 - fy } else { fy };
+    x * y
+}
+
+/// Weight of a point that lies (dx, dy) cells away, where sixteen are asked.
+///
+/// Twin: `shaders/shared/light_grid.wgsl`.
+#[inline(always)]
+pub fn near_of_sixteen(dx: f32, dy: f32) -> f32 {
+    1.0 / (dx * dx + dy * dy + 0.25)
+}
+
+/// How far a place lies on the surface of a grid point, in [0, 1].
+///
+/// Twin: `shaders/shared/light_grid.wgsl`.
+#[inline(always)]
+pub fn likeness(g: &GridPoint, position: Vec3, n: Vec3) -> f32 {
     let m = g.normal;
     let cos = n.x * m.x + n.y * m.y + n.z * m.z;
     let (x, y, z) = (position.x - g.position_world.x, position.y - g.position_world.y, position.z - g.position_world.z);
@@ -193,7 +217,8 @@ fn likeness(g: &GridPoint, position: Vec3, n: Vec3) -> f32 {
     let own2 = off_own * off_own;
     let off2 = if off2 < own2 { off2 } else { own2 };
     let d2 = (x * x + y * y) + z * z;
-    let share = off2 / (d2 + 1e-12);
+    let q = g.position_world;
+    let share = off2 / (d2 + (1e-12 + ROUNDING * (q.x * q.x + q.y * q.y + q.z * q.z)));
     let plane = unit(1.0 - (share - OFF_PLANE) * (1.0 / OFF_PLANE_SPAN));
     unit((cos - LEAST_COSINE) * (1.0 / COSINE_SPAN)) * plane
 }
@@ -201,20 +226,28 @@ fn likeness(g: &GridPoint, position: Vec3, n: Vec3) -> f32 {
 /// Places along the shorter side of a picture: where fewer would be left, they move closer together.
 const LEAST_PLACES: u32 = 64;
 
-/// Pixels from one place to the next: a power of two; 1: there is no grid.
-fn spacing_of(settings: &RenderSettings) -> u32 {
-    let wanted = settings.vpl.map_or(1, |v| if v.shadows == VplShadows::Traced { 1 } else { v.spacing });
+/// Pixels from one place to the next: a power of two; 1: there is no grid, as where visibility is traced or VPLs are
+/// interleaved.
+pub fn spacing_of(settings: &RenderSettings) -> u32 {
+    let has_grid = |v: &VplOptions| v.shadows != VplShadows::Traced && v.interleave == 1;
+    let wanted = settings.vpl.filter(has_grid).map_or(1, |v| v.spacing);
     let most = (settings.width.min(settings.height) / LEAST_PLACES).max(1);
     wanted.min(1 << most.ilog2())
+}
+
+/// Columns and rows of the grid of a picture: one more than its runs of sixteen pixels cover, so that every pixel lies between
+/// four.
+pub fn grid_size([width, height]: [u32; 2], spacing: u32) -> [u32; 2] {
+    [width.next_multiple_of(LANES as u32) / spacing + 1, height.div_ceil(spacing) + 1]
 }
 
 fn fill_row(ctx: &FrameContext, spacing: u32, row: u32, points: &mut [GridPoint], s: &mut RowScratch) {
     let (width, height) = (ctx.settings.width, ctx.settings.height);
     let camera = &ctx.scene.camera;
-    let y = (row * spacing) as f32;
+    let y = (row * spacing).min(height - 1) as f32;
+    let x = |column: usize| (column as u32 * spacing).min(width - 1) as f32;
     s.rays.clear();
-    s.rays
-        .extend((0..points.len()).map(|column| camera_ray(camera, (column as u32 * spacing) as f32, y, width, height)));
+    s.rays.extend((0..points.len()).map(|column| camera_ray(camera, x(column), y, width, height)));
     s.hits.clear();
     s.hits.resize(s.rays.len(), Hit::MISS);
     ctx.accel.closest_hits(&s.rays, &mut s.hits);
@@ -256,12 +289,10 @@ fn light_cell<const S: usize>(
     for (k, corner) in corners.into_iter().enumerate() {
         let corner = *corner;
         let [r, g, b] = corner.arriving;
-        let y = if k < 2 { 1.0 - fy } else { fy };
         for i in 0..S {
-            let fx = i as f32 * (1.0 / S as f32);
-            let x = if k % 2 == 0 { 1.0 - fx } else { fx };
+            let near = near_of_four(i as f32 * (1.0 / S as f32), fy, k);
             let normal = Vec3::new(n[0][i], n[1][i], n[2][i]);
-            let w = (x * y) * likeness(&corner, Vec3::new(p[0][i], p[1][i], p[2][i]), normal);
+            let w = near * likeness(&corner, Vec3::new(p[0][i], p[1][i], p[2][i]), normal);
             let toward = |v: Vec3| w * positive(normal.x * v.x + normal.y * v.y + normal.z * v.z);
             red[i] += toward(r);
             green[i] += toward(g);
