@@ -7,7 +7,10 @@ use catoptra_render_hybrid::{
     metrics::{Comparison, compare},
     raster::GpuRaster,
 };
-use catoptra_tests::opened_or_skip;
+use catoptra_tests::{
+    fixtures::{app_at, extracted},
+    opened_or_skip,
+};
 
 /// The tolerance of the lanes, on the final picture.
 const FLIP_MEAN: f64 = 0.02;
@@ -140,25 +143,29 @@ fn only_renewed_maps_are_sent() {
         return;
     }
     let mut gpu = renderer(RasterLane::Gpu);
-    let mut scene_30 = scene("rolling-box", 30);
-    let sent = |gpu: &mut Renderer, scene: &RenderScene| gpu.render(scene, &on_grid(4, 64)).unwrap().stats.bytes_up;
-    let first = sent(&mut gpu, &scene_30);
-    // Nearly all of the 256 paths meet something.
-    let all = 200 * 32 * 32 * 4;
+    let mut app = app_at("rolling-box-sponza", 30);
+    let mut first_scene = extracted(&app);
+    // Without what the CPU traces, which is sent, too.
+    let settings = RenderSettings { traced: false, ..on_grid(4, 64) };
+    let sent = |gpu: &mut Renderer, scene: &RenderScene| gpu.render(scene, &settings).unwrap().stats.bytes_up;
+    let first = sent(&mut gpu, &first_scene);
+    // More than half of the 256 paths meet something, and a map has four bytes a texel.
+    let all = 128 * 32 * 32 * 4;
     assert!(first >= all, "{first} bytes");
-    let again = sent(&mut gpu, &scene_30);
+    let again = sent(&mut gpu, &first_scene);
     assert!(again < all / 8, "{again} bytes for the same scene");
-    // The box moves on while the light stands still: some maps see it.
-    let mut moved = scene("rolling-box", 31);
-    moved.lights.clone_from(&scene_30.lights);
+    // The box moves on while the light stands still: some maps see it, most do not.
+    app::advance(&mut app, 1);
+    let mut moved = extracted(&app);
+    moved.lights.clone_from(&first_scene.lights);
     let some = sent(&mut gpu, &moved);
     println!("bytes sent: first {first}, again {again}, moved body {some}");
     assert!(some > again && some < all, "{some} bytes");
     // And the picture is that of a lane that never drew before.
-    let kept = gpu.render(&moved, &on_grid(4, 64)).unwrap();
-    assert_eq!(kept.image, renderer(RasterLane::Gpu).render(&moved, &on_grid(4, 64)).unwrap().image);
-    scene_30.lights.clear();
-    assert!(gpu.render(&scene_30, &on_grid(4, 64)).is_ok(), "no light at all");
+    let kept = gpu.render(&moved, &settings).unwrap();
+    assert_eq!(kept.image, renderer(RasterLane::Gpu).render(&moved, &settings).unwrap().image);
+    first_scene.lights.clear();
+    assert!(gpu.render(&first_scene, &settings).is_ok(), "no light at all");
 }
 
 #[test]
