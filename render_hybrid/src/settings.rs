@@ -164,11 +164,10 @@ pub struct VplOptions {
     pub interleave: u32,
     /// Pixels between the places of the picture where VPLs are evaluated, and between which their light is carried along
     /// surfaces: 1 (every pixel), 2, 4, 8 or 16. Higher: 1/n² of the cost, shadows of VPLs soft to n pixels. Less where it
-    /// would leave fewer than 64 places along the shorter side. CPU lane; not where visibility is traced or VPLs are
-    /// interleaved.
+    /// would leave fewer than 64 places along the shorter side. Not where visibility is traced or VPLs are interleaved.
     pub spacing: u32,
     /// VPLs, without visibility, that light what mirrors and glass show, a set of their own; 0: the same as what is seen
-    /// directly. Cost is linear in it, for each hit.
+    /// directly. Cost is linear in it, for each hit. With [`Self::spacing`] they also light pixels that the grid cannot tell.
     pub mirrored: u32,
 }
 
@@ -278,8 +277,7 @@ impl RenderSettings {
                 ..base
             },
             // Each pixel would take 16 times as long, and each hit in a mirror 60 times (docs/light.md).
-            // Below 128 VPLs the edges of their few hard shadows cost more FLIP than the light that leaks (docs/light.md). 256
-            // with maps on a grid cost as much, but there the lanes differ by more than 0.02 in the atrium.
+            // Below 128 VPLs the edges of their few hard shadows cost more FLIP than the light that leaks (docs/light.md).
             Preset::Interactive => Self {
                 vpl: Some(VplOptions {
                     count: 64,

@@ -3,7 +3,7 @@
 use catoptra_demos::scenes;
 use catoptra_engine::{Extracted, RenderScene, app};
 use catoptra_render_hybrid::{
-    Frame, Layer, RasterLane, RenderSettings, Renderer, RendererOptions, Shadows, VplOptions, VplShadows,
+    Frame, Layer, RasterLane, RenderSettings, Renderer, RendererOptions, Shadows, Tracer, VplOptions, VplShadows,
     metrics::{Comparison, compare},
     raster::GpuRaster,
 };
@@ -120,6 +120,8 @@ fn a_grid_of_several_chunks_on_a_ragged_picture() {
         return;
     }
     let (mut cpu, mut gpu) = (renderer(RasterLane::Cpu), renderer(RasterLane::Gpu));
+    let options = RendererOptions { raster: RasterLane::Gpu, tracer: Tracer::Gpu, ..RendererOptions::default() };
+    let mut tracing = Renderer::new(options).unwrap();
     let scene = scene("two-spheres", 30);
     // 2500 VPLs are three chunks; neither side is a multiple of the spacing.
     for (shadows, mirrored) in [(VplShadows::Off, 0), (VplShadows::Maps, 0), (VplShadows::Off, 1500)] {
@@ -134,6 +136,14 @@ fn a_grid_of_several_chunks_on_a_ragged_picture() {
         // The same frame without the grid is another.
         let every = RenderSettings { vpl: Some(VplOptions { spacing: 1, ..vpl }), ..settings };
         assert_ne!(gpu.render(&scene, &every).unwrap().layer(Layer::Indirect), b.layer(Layer::Indirect));
+        if shadows == VplShadows::Off && mirrored == 0 {
+            // VPLs that the GPU makes itself are on the grid as well.
+            let c = tracing.render(&scene, &settings).unwrap();
+            assert_eq!(c.stats.tracer, Tracer::Gpu);
+            let mean = layer_difference(&c, &a, Layer::Indirect).flip.mean();
+            println!("VPLs made on the GPU: FLIP mean {mean:.5}");
+            assert!(mean <= GRID_FLIP_MEAN, "VPLs made on the GPU: {mean}");
+        }
     }
 }
 

@@ -202,7 +202,7 @@ pub struct PictureArgs {
     /// Side of the blocks of pixels over which virtual point lights are interleaved: 1 (none), 2 or 4; CPU lane
     #[arg(long, value_name = "N")]
     pub vpl_interleave: Option<u32>,
-    /// Pixels between the places where virtual point lights are evaluated: 1 (each pixel), 2, 4, 8 or 16; CPU lane
+    /// Pixels between the places where virtual point lights are evaluated: 1 (each pixel), 2, 4, 8 or 16
     #[arg(long, value_name = "N")]
     pub vpl_spacing: Option<u32>,
     /// Virtual point lights, without shadows, that light what mirrors and glass show; 0: the same as elsewhere
