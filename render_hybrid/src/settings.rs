@@ -239,7 +239,7 @@ impl Default for RenderSettings {
 pub enum Preset {
     /// 16 VPLs without shadows, depth 4: editing.
     Draft,
-    /// 64 VPLs without visibility (the thesis's choice), filtered shadows, depth 8: play.
+    /// 256 VPLs with shadow maps on a grid of the picture, 64 without in mirrors, filtered shadows, depth 8: play.
     #[default]
     Interactive,
     /// 4,096 VPLs with shadow maps, certified soft shadows, depth 16: stills.
@@ -277,12 +277,12 @@ impl RenderSettings {
                 ..base
             },
             // Each pixel would take 16 times as long, and each hit in a mirror 60 times (docs/light.md).
-            // Below 128 VPLs the edges of their few hard shadows cost more FLIP than the light that leaks (docs/light.md).
+            // With so few VPLs a higher bound shows as bright spots around each, at no gain in FLIP (docs/light.md).
             Preset::Interactive => Self {
                 vpl: Some(VplOptions {
-                    count: 64,
                     geometry_term_max: Some(20.0),
-                    shadows: VplShadows::Off,
+                    spacing: 16,
+                    mirrored: 64,
                     ..VplOptions::default()
                 }),
                 min_weight: 1.0 / 128.0,

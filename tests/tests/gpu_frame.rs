@@ -8,7 +8,7 @@ use catoptra_engine::{
 };
 use catoptra_render_hybrid::{
     Frame, Layer, MomentOptions, RasterLane, RenderSettings, Renderer, RendererOptions, Shadows, StageInterval, Tracer,
-    VplOptions, twin::vpl::Vpl,
+    VplOptions, VplShadows, twin::vpl::Vpl,
 };
 use catoptra_tests::{HandScene, opened_or_skip};
 use std::time::Instant;
@@ -21,7 +21,9 @@ fn renderer(test: &str, tracer: Tracer) -> Option<Renderer> {
 fn small(size: u32) -> RenderSettings {
     // Maps of the usual size are most of a software adapter's time, and no matter here.
     let moments = MomentOptions { size: 64, face_size: 32, ..MomentOptions::default() };
-    RenderSettings { width: size, height: size, moments, ..RenderSettings::default() }
+    // VPLs that the GPU may make itself: the preset's, with maps that the CPU makes, are held in lanes.rs.
+    let vpl = VplOptions { count: 64, shadows: VplShadows::Off, ..VplOptions::default() };
+    RenderSettings { width: size, height: size, moments, vpl: Some(vpl), ..RenderSettings::default() }
 }
 
 /// Frames 0 to n - 1 of a scene, each a revision of the one before.

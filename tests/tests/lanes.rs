@@ -29,10 +29,7 @@ fn renderer(raster: RasterLane) -> Renderer {
 }
 
 fn settings() -> RenderSettings {
-    let preset = RenderSettings::default();
-    // The grid has a test of its own below.
-    let vpl = preset.vpl.map(|v| VplOptions { spacing: 1, ..v });
-    RenderSettings { width: SIZE, height: SIZE, keep_layers: true, vpl, ..preset }
+    RenderSettings { width: SIZE, height: SIZE, keep_layers: true, ..RenderSettings::default() }
 }
 
 fn layer_difference(a: &Frame, b: &Frame, layer: Layer) -> Comparison {

@@ -61,7 +61,7 @@ pub enum Tracer {
 pub enum PresetArg {
     /// 16 VPLs without shadows, depth 4: editing
     Draft,
-    /// 64 VPLs without visibility, depth 8: play
+    /// 256 VPLs with shadow maps on a grid of the picture, depth 8: play
     #[default]
     Interactive,
     /// 4,096 VPLs with shadow maps, shadows by rays where they matter: stills
