@@ -333,8 +333,10 @@ fn camera_rays_and_octahedral_normals() {
         let v = |v: Vec3| format!("vec3f({:?}, {:?}, {:?})", v.x, v.y, v.z);
         let orthographic = u32::from(matches!(projection, Projection::Orthographic { .. }));
         let body = format!(
-            "let frame = Frame({}, 0.01, {}, {half_width:?}, {}, {half_height:?}, {}, 100.0,
-                vec3f(0.0), {orthographic}u, vec3f(0.0), 0u, vec2u(40u, 30u), vec2u(0u));
+            "var frame: Frame;
+            frame.orthographic = {orthographic}u; frame.size = vec2u(40u, 30u); frame.near = 0.01; frame.far = 100.0;
+            frame.eye_world = {}; frame.half_width = {half_width:?}; frame.half_height = {half_height:?};
+            frame.right_world = {}; frame.up_world = {}; frame.forward_world = {};
             let r = camera_ray(frame, vec2f(x[0], x[1]));
             y[0] = r.origin.x; y[1] = r.origin.y; y[2] = r.origin.z;
             y[3] = r.direction.x; y[4] = r.direction.y; y[5] = r.direction.z;
