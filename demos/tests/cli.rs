@@ -189,7 +189,7 @@ fn a_budget_caps_rays_and_a_trace_tells_the_stages() {
     assert!(all > 4000 && few <= 2000 && few > 500, "{all} and {few} rays");
     assert_ne!(free, capped);
     assert_eq!(render("2000", "1").0, capped, "a budget counts rays, not threads");
-    let maps = ["--vpls", "256", "--vpl-shadows", "maps"];
+    let maps = ["--vpls", "256", "--vpl-shadows", "maps", "--vpl-map-size", "32"];
     let (all, few) = (render_with("1000000000", "2", &maps).1, render_with("100000", "2", &maps).1);
     assert!(all > 105_000 && few <= 50_000 && few > 10_000, "{all} and {few} rays with maps");
     let text = std::fs::read_to_string(&trace).unwrap();

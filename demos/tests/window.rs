@@ -56,7 +56,8 @@ impl Desk {
         let folder = folder(name);
         // The server picks a free number and writes it.
         let mut screen = Command::new("Xvfb")
-            .args(["-displayfd", "1", "-screen", "0", "800x600x24", "-nolisten", "tcp"])
+            // A server that starts anew when its only client goes would throw out the one that just came.
+            .args(["-displayfd", "1", "-screen", "0", "800x600x24", "-nolisten", "tcp", "-noreset"])
             .stdout(Stdio::piped())
             .stderr(Stdio::null())
             .spawn()
