@@ -66,8 +66,10 @@ fn memory_stays_flat() {
     for raster in lanes {
         let sizes = run(raster);
         println!("{raster:?}: KiB after each hundred frames: {sizes:?}");
-        // The first three hundred frames fill the pools of allocator, ECS and driver.
-        let grown = sizes[9].saturating_sub(sizes[2]);
-        assert!(grown < 4 << 10, "{raster:?}: {grown} KiB more after 700 frames: {sizes:?}");
+        // The first two hundred frames fill the pools of allocator, ECS and driver. The least of three readings, as a software
+        // driver that compiles holds 10 MiB more for a moment.
+        let least = |of: &[u64]| of.iter().copied().min().unwrap_or(0);
+        let grown = least(&sizes[7..]).saturating_sub(least(&sizes[2..5]));
+        assert!(grown < 4 << 10, "{raster:?}: {grown} KiB more after 500 frames: {sizes:?}");
     }
 }
