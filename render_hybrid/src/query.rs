@@ -20,7 +20,7 @@ pub struct SurfaceHit {
     pub primitive: u32,
     /// Index into `RenderScene::materials`.
     pub material: u32,
-    /// First texture coordinate set at the place; (0, 0) where the mesh has none.
+    /// First texture coordinate set at the place; 0 where the mesh has none, or where what it has comes to no finite number.
     pub uv: Vec2,
     /// The place, world space, metres.
     pub position: Vec3,
@@ -114,7 +114,9 @@ impl SceneQuery<'_> {
             [] => Vec2::ZERO,
             uvs => {
                 let [a, b, c] = mesh.triangles()[hit.primitive_id as usize].map(|v| uvs[v as usize]);
-                a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v
+                let uv = a * (1.0 - hit.u - hit.v) + b * hit.u + c * hit.v;
+                // A mesh may bring any numbers. What an embedder gets compares and indexes as numbers do.
+                Vec2::select(uv.is_finite_mask(), uv, Vec2::ZERO)
             }
         };
         Some(SurfaceHit {
