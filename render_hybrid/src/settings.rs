@@ -287,7 +287,7 @@ impl RenderSettings {
                     mirrored: 64,
                     ..VplOptions::default()
                 }),
-                min_weight: 1.0 / 128.0,
+                min_weight: 1.0 / 50.0,
                 ..base
             },
             Preset::High => Self {

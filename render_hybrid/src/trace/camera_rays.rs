@@ -84,7 +84,8 @@ pub fn trace_light(ctx: &FrameContext, lights: bool, vpls: bool, counts: &mut Ra
                         }
                         for (light, plane) in visibility.iter_mut().enumerate() {
                             let pixel = py * width + px;
-                            plane[at] = shade::light_visibility(ctx, light as u32, &g.surfaces[i], pixel, &mut counts);
+                            let start = g.points.ray_start(i);
+                            plane[at] = shade::light_visibility(ctx, light as u32, &start, pixel, &mut counts);
                         }
                         if vpls {
                             indirect[at] = (g.points.albedo(i) * g.points.irradiance(i)).to_array();

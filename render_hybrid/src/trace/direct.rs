@@ -7,10 +7,10 @@ use glam::{Vec2, Vec3, Vec4};
 
 use super::{
     points::{LANES, Lane, PointBatch, lanes, store},
-    shade::{FrameContext, light_visibility, shadow_ray},
-    surface::Surface,
+    shade::{FrameContext, light_visibility},
 };
 use crate::{
+    accel::Ray,
     output::RayCounts,
     settings::{MomentOptions, ShadowFilter, Shadows},
     simd::dispatch,
@@ -20,16 +20,10 @@ use crate::{
     },
 };
 
-/// Adds the light of all lights to the radiance of every point of the batch, which must be padded.
-/// * `surfaces`: the surfaces behind the points; may be empty unless shadows are traced or certified
+/// Adds the light of all lights to the radiance of every point of the batch, which must be padded, and have ray starts where
+/// shadows are traced or certified.
 /// * `pixel`: number of the picture's pixel that a point belongs to; turns the pattern on a light's disc
-pub fn direct_light(
-    ctx: &FrameContext,
-    points: &mut PointBatch,
-    surfaces: &[Surface],
-    pixel: impl Fn(usize) -> u32,
-    rays: &mut RayCounts,
-) {
+pub fn direct_light(ctx: &FrameContext, points: &mut PointBatch, pixel: impl Fn(usize) -> u32, rays: &mut RayCounts) {
     for (index, light) in ctx.scene.lights.iter().enumerate() {
         let index = index as u32;
         unshadowed(ctx.level, points, light);
@@ -39,13 +33,13 @@ pub fn direct_light(
             Shadows::Moments => add_filtered(ctx.level, points, ctx.maps, index, light, &ctx.settings.moments),
             // One ray a light: all points' rays go together.
             Shadows::Traced if light.radius <= 0.0 || ctx.settings.shadow_samples == 1 => {
-                add_by_rays(ctx, points, surfaces, index, rays);
+                add_by_rays(ctx, points, index, rays);
             }
             Shadows::Traced | Shadows::Certified => {
                 for i in 0..points.len() {
                     let unshadowed = unshadowed_at(points, i);
                     if unshadowed != Vec3::ZERO {
-                        let seen = unshadowed * light_visibility(ctx, index, &surfaces[i], pixel(i), rays);
+                        let seen = unshadowed * light_visibility(ctx, index, &points.ray_start(i), pixel(i), rays);
                         add_at(points, i, seen);
                     }
                 }
@@ -65,15 +59,21 @@ fn add_at(points: &mut PointBatch, i: usize, radiance: Vec3) {
 }
 
 /// Adds the unshadowed light of the points that a ray to the middle of the light's disc does not find occluded.
-fn add_by_rays(ctx: &FrameContext, points: &mut PointBatch, surfaces: &[Surface], index: u32, counts: &mut RayCounts) {
+fn add_by_rays(ctx: &FrameContext, points: &mut PointBatch, index: u32, counts: &mut RayCounts) {
     let mut shadows = std::mem::take(&mut points.shadows);
     shadows.clear();
-    for i in 0..points.len() {
-        if unshadowed_at(points, i) != Vec3::ZERO
-            && let Some(ray) = shadow_ray(ctx.scene, index, &surfaces[i], Vec2::ZERO)
-        {
-            shadows.rays.push(ray);
-            shadows.of.push(i as u32);
+    let light = &ctx.scene.lights[index as usize];
+    let t_max = if matches!(light.kind, LightKind::Directional) { f32::INFINITY } else { 1.0 };
+    let mut lanes = ShadowLanes::default();
+    for at in (0..points.len()).step_by(LANES) {
+        shadow_lanes(ctx.level, points, at, light, &mut lanes);
+        for lane in 0..LANES.min(points.len() - at) {
+            if lanes.casts[lane] != 0 {
+                let vec = |v: &[Lane; 3]| Vec3::new(v[0][lane], v[1][lane], v[2][lane]);
+                let (origin, direction) = (vec(&lanes.origin), vec(&lanes.direction));
+                shadows.rays.push(Ray { origin, direction, t_min: 0.0, t_max });
+                shadows.of.push((at + lane) as u32);
+            }
         }
     }
     counts.shadow += shadows.rays.len() as u64;
@@ -86,6 +86,41 @@ fn add_by_rays(ctx: &FrameContext, points: &mut PointBatch, surfaces: &[Surface]
         }
     }
     points.shadows = shadows;
+}
+
+/// Sixteen rays towards a light.
+#[derive(Default)]
+struct ShadowLanes {
+    origin: [Lane; 3],
+    direction: [Lane; 3],
+    /// Not 0: the point would be lit, so that its ray is worth casting.
+    casts: [u32; LANES],
+}
+
+/// [`super::shade::shadow_ray`] to the middle of the light's disc, of the points from `at` on.
+#[inline(always)]
+fn shadow_lanes_body(points: &PointBatch, at: usize, light: &Light, out: &mut ShadowLanes) {
+    let parallel = matches!(light.kind, LightKind::Directional);
+    let (target, towards) = (light.position_world, -light.direction_world);
+    let unshadowed = lanes(&points.unshadowed, at);
+    let (p, n) = (lanes(&points.position, at), lanes(&points.n_geometric, at));
+    let error = super::points::lane(&points.error, at);
+    for lane in 0..LANES {
+        let lit = (unshadowed[0][lane] != 0.0) | (unshadowed[1][lane] != 0.0) | (unshadowed[2][lane] != 0.0);
+        let to = |axis: usize, from: f32| if parallel { towards[axis] } else { target[axis] - from };
+        let to_target = [0, 1, 2].map(|axis| to(axis, p[axis][lane]));
+        let above = (n[0][lane] * to_target[0] + n[1][lane] * to_target[1]) + n[2][lane] * to_target[2];
+        out.casts[lane] = u32::from(lit & (above > 0.0));
+        for axis in 0..3 {
+            let origin = p[axis][lane] + n[axis][lane] * error[lane];
+            out.origin[axis][lane] = origin;
+            out.direction[axis][lane] = to(axis, origin);
+        }
+    }
+}
+
+dispatch! {
+    fn shadow_lanes => shadow_lanes_body(points: &PointBatch, at: usize, light: &Light, out: &mut ShadowLanes)
 }
 
 /// Adds Blinn-Phong lobes to the unshadowed light of the points that have one.

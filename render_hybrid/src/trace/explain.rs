@@ -155,9 +155,9 @@ fn follow(ctx: &FrameContext, mut way: Way, pixel: u32, tree: &mut RayTree, open
 /// * `seen`: by the camera; else by a ray of a mirror or glass
 fn local_light(ctx: &FrameContext, surface: &Surface, wo: Vec3, pixel: u32, seen: bool) -> (Vec3, Vec3) {
     let (mut points, mut rays, mut counts) = (PointBatch::default(), VplRays::default(), RayCounts::default());
-    let surfaces = std::slice::from_ref(surface);
     let unlit = ctx.scene.materials[surface.material as usize].unlit;
-    points.push(&point_of(ctx, surface));
+    points.keep_ray_starts(true);
+    points.push(&point_of(ctx, surface), &surface.ray_start());
     let look = &surface.look;
     if look.specular != Vec3::ZERO && !unlit {
         points.glossy.push(Glossy { point: 0, specular: look.specular, shininess: look.shininess, wo });
@@ -168,13 +168,13 @@ fn local_light(ctx: &FrameContext, surface: &Surface, wo: Vec3, pixel: u32, seen
         ctx.grid.at([pixel % width, pixel / width], s.position_world, s.n_shading)
     };
     if seen && !ctx.grid.is_built() {
-        shade::indirect_light(ctx, 0..ctx.vpls.len(), &mut points, surfaces, &mut rays, &mut counts);
+        shade::indirect_light(ctx, 0..ctx.vpls.len(), &mut points, &mut rays, &mut counts);
     } else if let Some(irradiance) = seen.then(from_grid).flatten() {
         points.set_irradiance(0, irradiance);
     } else {
-        shade::indirect_light_of_hits(ctx, &mut points, surfaces, &mut rays, &mut counts);
+        shade::indirect_light_of_hits(ctx, &mut points, &mut rays, &mut counts);
     }
-    direct::direct_light(ctx, &mut points, surfaces, |_| pixel, &mut counts);
+    direct::direct_light(ctx, &mut points, |_| pixel, &mut counts);
     (points.radiance(0), points.albedo(0) * points.irradiance(0))
 }
 

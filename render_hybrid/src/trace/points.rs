@@ -2,7 +2,7 @@
 
 use glam::{Vec2, Vec3};
 
-use super::meet::SurfaceLanes;
+use super::{meet::SurfaceLanes, surface::RayStart};
 use crate::{
     accel::Ray,
     simd::dispatch,
@@ -69,6 +69,11 @@ pub struct PointBatch {
     pub(crate) radiance: [Vec<f32>; 3],
     /// Radiance that one light would cause unshadowed.
     pub(crate) unshadowed: [Vec<f32>; 3],
+    /// Normals of the triangles: x, y, z planes; empty unless ray starts are kept.
+    pub(crate) n_geometric: [Vec<f32>; 3],
+    /// Bounds on the errors of the places, metres; empty unless ray starts are kept.
+    pub(crate) error: Vec<f32>,
+    ray_starts: bool,
     /// Points whose material has a highlight.
     pub glossy: Vec<Glossy>,
     /// Memory for shadow rays.
@@ -99,10 +104,44 @@ impl PointBatch {
         groups.into_iter().flatten().chain(&mut self.unshadowed).chain([&mut self.matte])
     }
 
+    fn start_planes(&mut self) -> impl Iterator<Item = &mut Vec<f32>> {
+        self.n_geometric.iter_mut().chain([&mut self.error])
+    }
+
+    /// Planes of `len` points; those of ray starts only where they are kept.
+    fn resize(&mut self, len: usize) {
+        self.planes().for_each(|p| p.resize(len, 0.0));
+        let starts = if self.ray_starts { len } else { 0 };
+        self.start_planes().for_each(|p| p.resize(starts, 0.0));
+    }
+
+    /// Says of an empty batch whether its points are places that rays start from.
+    pub fn keep_ray_starts(&mut self, keep: bool) {
+        self.ray_starts = keep;
+    }
+
+    /// True where the points are places that rays start from.
+    pub fn has_ray_starts(&self) -> bool {
+        self.ray_starts
+    }
+
+    /// Where rays from point `i` start; nowhere unless the batch keeps that.
+    pub fn ray_start(&self, i: usize) -> RayStart {
+        if !self.ray_starts {
+            return RayStart::default();
+        }
+        RayStart {
+            position_world: self.position_world(i),
+            n_geometric: of_planes(&self.n_geometric, i),
+            error: self.error[i],
+        }
+    }
+
     /// Forgets all points, keeps the memory.
     pub fn clear(&mut self) {
         self.len = 0;
         self.planes().for_each(Vec::clear);
+        self.start_planes().for_each(Vec::clear);
         self.glossy.clear();
     }
 
@@ -110,7 +149,7 @@ impl PointBatch {
     pub fn reset(&mut self, len: usize) {
         debug_assert_eq!(len % LANES, 0);
         self.len = len;
-        self.planes().for_each(|p| p.resize(len, 0.0));
+        self.resize(len);
         self.glossy.clear();
     }
 
@@ -122,6 +161,9 @@ impl PointBatch {
     /// Makes room for as many.
     pub fn reserve(&mut self, [points, glossy]: [usize; 2]) {
         self.planes().for_each(|p| make_room(p, points));
+        if self.ray_starts {
+            self.start_planes().for_each(|p| make_room(p, points));
+        }
         make_room(&mut self.glossy, glossy);
     }
 
@@ -130,8 +172,8 @@ impl PointBatch {
         self.irradiance.iter_mut().for_each(|p| p.fill(0.0));
     }
 
-    /// Adds a point.
-    pub fn push(&mut self, s: &PointSurface) {
+    /// Adds a point; where rays from it start counts only in a batch that keeps that.
+    pub fn push(&mut self, s: &PointSurface, start: &RayStart) {
         for axis in 0..3 {
             self.position[axis].push(s.position_world[axis]);
             self.normal[axis].push(s.normal[axis]);
@@ -139,6 +181,12 @@ impl PointBatch {
             self.radiance[axis].push(s.own[axis]);
         }
         self.matte.push(s.matte);
+        if self.ray_starts {
+            for axis in 0..3 {
+                self.n_geometric[axis].push(start.n_geometric[axis]);
+            }
+            self.error.push(start.error);
+        }
         self.len += 1;
     }
 
@@ -148,7 +196,7 @@ impl PointBatch {
         self.len += mask.count_ones() as usize;
         let padded = self.len.next_multiple_of(LANES);
         if padded > self.matte.len() {
-            self.planes().for_each(|p| p.resize(padded, 0.0));
+            self.resize(padded);
         }
         let copy = |to: &mut [f32], from: &Lane| {
             let (mut i, mut lanes) = (first, mask);
@@ -165,10 +213,16 @@ impl PointBatch {
             copy(&mut self.radiance[axis], &from.own[axis]);
         }
         copy(&mut self.matte, &from.matte);
+        if self.ray_starts {
+            for axis in 0..3 {
+                copy(&mut self.n_geometric[axis], &from.n_geometric[axis]);
+            }
+            copy(&mut self.error, &from.error);
+        }
     }
 
     /// Writes point `i`.
-    pub fn set(&mut self, i: usize, s: &PointSurface) {
+    pub fn set(&mut self, i: usize, s: &PointSurface, start: &RayStart) {
         for axis in 0..3 {
             self.position[axis][i] = s.position_world[axis];
             self.normal[axis][i] = s.normal[axis];
@@ -176,6 +230,12 @@ impl PointBatch {
             self.radiance[axis][i] = s.own[axis];
         }
         self.matte[i] = s.matte;
+        if self.ray_starts {
+            for axis in 0..3 {
+                self.n_geometric[axis][i] = start.n_geometric[axis];
+            }
+            self.error[i] = start.error;
+        }
     }
 
     /// Points in the batch.
@@ -234,8 +294,7 @@ impl PointBatch {
 
     /// Pads with points whose normal is zero: nothing lights them. Call once after the last `push`.
     pub fn pad(&mut self) {
-        let padded = self.len.next_multiple_of(LANES);
-        self.planes().for_each(|p| p.resize(padded, 0.0));
+        self.resize(self.len.next_multiple_of(LANES));
     }
 }
 
@@ -572,7 +631,8 @@ mod tests {
             let Ok(level) = simd::resolve(choice) else { continue };
             let mut batch = PointBatch::default();
             for (p, n) in &points {
-                batch.push(&PointSurface { position_world: *p, normal: *n, matte: 1.0, ..PointSurface::default() });
+                let at = PointSurface { position_world: *p, normal: *n, matte: 1.0, ..PointSurface::default() };
+                batch.push(&at, &RayStart::default());
             }
             batch.pad();
             let emitters: Vec<Emitter> = vpls.iter().map(Emitter::from).collect();

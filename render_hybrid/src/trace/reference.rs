@@ -295,7 +295,7 @@ impl Path<'_> {
             if unshadowed == Vec3::ZERO {
                 continue;
             }
-            if let Some(ray) = shadow_ray(self.scene, light, s, sampling::concentric_disc(xi)) {
+            if let Some(ray) = shadow_ray(self.scene, light, &s.ray_start(), sampling::concentric_disc(xi)) {
                 self.rays += 1;
                 if !self.accel.occluded(&ray) {
                     sum += unshadowed;

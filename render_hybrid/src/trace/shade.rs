@@ -8,7 +8,7 @@ use std::f32::consts::{FRAC_1_PI, TAU};
 use super::{
     points::{Emitter, PointBatch, accumulate_shadowed_vpls, accumulate_vpls},
     sampling,
-    surface::{NormalMatrices, Surface},
+    surface::{NormalMatrices, RayStart, Surface},
 };
 use crate::{
     accel::{Accel, Ray},
@@ -56,14 +56,14 @@ pub struct FrameContext<'a> {
 }
 
 /// True where rays start from every pixel's surface.
-pub fn wants_surfaces(ctx: &FrameContext) -> bool {
+pub fn wants_ray_starts(ctx: &FrameContext) -> bool {
     let traced_vpls = ctx.settings.vpl.is_some_and(|v| v.shadows == VplShadows::Traced);
     traced_vpls || matches!(ctx.settings.shadows, Shadows::Traced | Shadows::Certified)
 }
 
 /// Fraction of light `light` that reaches the surface, in [0, 1].
 /// * `pixel`: number of the picture's pixel; turns the pattern on the light's disc
-pub fn light_visibility(ctx: &FrameContext, light: u32, s: &Surface, pixel: u32, rays: &mut RayCounts) -> f32 {
+pub fn light_visibility(ctx: &FrameContext, light: u32, s: &RayStart, pixel: u32, rays: &mut RayCounts) -> f32 {
     match ctx.settings.shadows {
         Shadows::Off => 1.0,
         Shadows::Moments => {
@@ -96,7 +96,7 @@ pub fn light_visibility(ctx: &FrameContext, light: u32, s: &Surface, pixel: u32,
 
 /// Ray from the surface to the point `disc` (in the unit disc) of the light's disc, which faces the surface. `None` where
 /// that point lies below the surface's plane.
-pub fn shadow_ray(scene: &RenderScene, light: u32, s: &Surface, disc: glam::Vec2) -> Option<Ray> {
+pub fn shadow_ray(scene: &RenderScene, light: u32, s: &RayStart, disc: glam::Vec2) -> Option<Ray> {
     let light = &scene.lights[light as usize];
     let (wi, _, _) = light.incident(s.position_world);
     let (t, b) = math::orthonormal_basis(wi);
@@ -128,13 +128,12 @@ pub fn reflected_from_light(scene: &RenderScene, light: u32, s: &Surface, wo: Ve
     brdf * incident * n_dot_l
 }
 
-/// Sets the irradiance of every point of the batch (which must be padded) by a run of the frame's VPLs.
-/// * `surfaces`: the surfaces behind the points, in the same order; used where visibility is traced, else may be empty
+/// Sets the irradiance of every point of the batch (which must be padded) by a run of the frame's VPLs. Where visibility is
+/// traced, the batch has ray starts.
 pub fn indirect_light(
     ctx: &FrameContext,
     run: std::ops::Range<usize>,
     points: &mut PointBatch,
-    surfaces: &[Surface],
     scratch: &mut VplRays,
     rays: &mut RayCounts,
 ) {
@@ -156,12 +155,13 @@ pub fn indirect_light(
     }
     for vpl in vpls {
         scratch.clear();
-        for (i, s) in surfaces.iter().enumerate() {
+        for i in 0..points.len() {
             // Points without a matte share receive nothing.
             if points.albedo(i) == Vec3::ZERO {
                 continue;
             }
-            let irradiance = vpl_irradiance(vpl, s.position_world, s.n_shading, ctx.geometry_term_max);
+            let s = points.ray_start(i);
+            let irradiance = vpl_irradiance(vpl, s.position_world, points.normal(i), ctx.geometry_term_max);
             let target = vpl.position_world + vpl.normal_world * vpl.error;
             let to_vpl = target - s.position_world;
             if irradiance != Vec3::ZERO && s.n_geometric.dot(to_vpl) > 0.0 {
@@ -185,13 +185,12 @@ pub fn indirect_light(
 pub fn indirect_light_of_hits(
     ctx: &FrameContext,
     points: &mut PointBatch,
-    surfaces: &[Surface],
     scratch: &mut VplRays,
     rays: &mut RayCounts,
 ) {
     match ctx.mirrored {
         Some(emitters) => accumulate_vpls(ctx.level, points, emitters, ctx.geometry_term_max),
-        None => indirect_light(ctx, 0..ctx.vpls.len(), points, surfaces, scratch, rays),
+        None => indirect_light(ctx, 0..ctx.vpls.len(), points, scratch, rays),
     }
 }
 

@@ -36,31 +36,9 @@ pub struct Surface {
 }
 
 impl Surface {
-    /// No place at all.
-    pub(crate) fn nowhere() -> Self {
-        Self {
-            position_world: Vec3::ZERO,
-            error: 0.0,
-            n_geometric: Vec3::ZERO,
-            n_shading: Vec3::ZERO,
-            front: false,
-            base_color: Vec3::ZERO,
-            emission: Vec3::ZERO,
-            look: catoptra_engine::Material::default().look(),
-            material: 0,
-            instance_id: 0,
-            primitive_id: 0,
-        }
-    }
-
-    /// A start for rays that leave to the side of `direction`, clear of the surface itself.
-    ///
-    /// Source: the idea of Wächter & Binder, "A Fast and Robust Method for Avoiding Self-Intersection", Ray Tracing Gems,
-    /// 2019; the bound here is that of the interpolated position.
-    #[inline]
-    pub fn offset_origin(&self, direction: Vec3) -> Vec3 {
-        let side = if self.n_geometric.dot(direction) >= 0.0 { 1.0 } else { -1.0 };
-        self.position_world + self.n_geometric * (side * self.error)
+    /// Where rays to the lights start.
+    pub fn ray_start(&self) -> RayStart {
+        RayStart { position_world: self.position_world, n_geometric: self.n_geometric, error: self.error }
     }
 
     /// The ray from here along unit `direction` that does not meet the surface itself again.
@@ -68,6 +46,29 @@ impl Surface {
     pub fn leaving_ray(&self, direction: Vec3) -> Ray {
         let (origin, t_min) = leave(self.position_world, self.n_geometric, self.error, direction);
         Ray { origin, direction, t_min, t_max: f32::INFINITY }
+    }
+}
+
+/// As much of a surface as rays towards the lights need.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct RayStart {
+    /// See [`Surface::position_world`].
+    pub position_world: Vec3,
+    /// See [`Surface::n_geometric`]; zero: no place at all.
+    pub n_geometric: Vec3,
+    /// See [`Surface::error`].
+    pub error: f32,
+}
+
+impl RayStart {
+    /// The ray's origin: on the side of `direction`, clear of the surface itself.
+    ///
+    /// Source: the idea of Wächter & Binder, "A Fast and Robust Method for Avoiding Self-Intersection", Ray Tracing Gems,
+    /// 2019; the bound here is that of the interpolated position.
+    #[inline]
+    pub fn offset_origin(&self, direction: Vec3) -> Vec3 {
+        let side = if self.n_geometric.dot(direction) >= 0.0 { 1.0 } else { -1.0 };
+        self.position_world + self.n_geometric * (side * self.error)
     }
 }
 

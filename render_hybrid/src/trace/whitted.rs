@@ -15,7 +15,7 @@ use super::{
     optics::{LeavingLanes, part},
     points::{Glossy, LANES, PointBatch, make_room},
     shade::{self, FrameContext, VplRays},
-    surface::{PixelCone, Surface},
+    surface::PixelCone,
 };
 use crate::{
     accel::{Hit, Ray},
@@ -70,7 +70,6 @@ pub struct WhittedScratch {
     kinds: Vec<u8>,
     /// Slot and weight of each point.
     shaded: Vec<(u32, Vec3)>,
-    surfaces: Vec<Surface>,
     points: PointBatch,
     vpl_rays: VplRays,
     facets: Facets,
@@ -96,7 +95,6 @@ impl WhittedScratch {
         make_room(&mut self.branch_of, wave);
         make_room(&mut self.kinds, wave);
         make_room(&mut self.shaded, points);
-        make_room(&mut self.surfaces, points);
         self.points.reserve([points, glossy]);
     }
 }
@@ -168,12 +166,11 @@ pub(super) fn trace_wave(
     counts: &mut RayCounts,
 ) {
     let cone = PixelCone::of(&ctx.scene.camera, ctx.settings.height);
-    let surfaces = shade::wants_surfaces(ctx);
     trace_sorted(ctx, s);
     s.next.clear();
     s.shaded.clear();
-    s.surfaces.clear();
     s.points.clear();
+    s.points.keep_ray_starts(shade::wants_ray_starts(ctx));
     for first in (0..s.wave.len()).step_by(LANES) {
         let count = LANES.min(s.wave.len() - first);
         let mut paths = [Path::default(); LANES];
@@ -219,10 +216,6 @@ pub(super) fn trace_wave(
         for lane in 0..count {
             if shown >> lane & 1 != 0 {
                 s.shaded.push((paths[lane].slot, s.meeting.weight(lane)));
-                if surfaces {
-                    let branch = &s.wave[s.branch_of[first + lane] as usize];
-                    s.surfaces.push(s.facets.surface(ctx, &branch.ray, &hits[lane], cone.at(paths[lane].way)));
-                }
             } else if met >> lane & 1 == 0 {
                 radiance[paths[lane].slot as usize] += s.meeting.weight(lane) * ctx.scene.environment.background;
             }
@@ -279,9 +272,9 @@ fn shade_wave(
     counts: &mut RayCounts,
 ) {
     s.points.pad();
-    shade::indirect_light_of_hits(ctx, &mut s.points, &s.surfaces, &mut s.vpl_rays, counts);
+    shade::indirect_light_of_hits(ctx, &mut s.points, &mut s.vpl_rays, counts);
     let shaded = &s.shaded;
-    direct::direct_light(ctx, &mut s.points, &s.surfaces, |i| pixels[shaded[i].0 as usize].pixel, counts);
+    direct::direct_light(ctx, &mut s.points, |i| pixels[shaded[i].0 as usize].pixel, counts);
     for (i, (slot, weight)) in s.shaded.iter().enumerate() {
         let light = s.points.radiance(i) + s.points.albedo(i) * s.points.irradiance(i);
         radiance[*slot as usize] += *weight * light;

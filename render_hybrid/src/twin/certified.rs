@@ -19,7 +19,7 @@ use catoptra_engine::{Light, LightKind};
 use glam::Vec2;
 
 use super::shadow::{ShadowMaps, shadow_project};
-use crate::trace::surface::Surface;
+use crate::trace::surface::RayStart;
 
 /// Most texel widths by which an occluder may be missed. Higher: fewer rays, later contacts.
 pub const MOST_SLACK_TEXELS: f32 = 4.0;
@@ -142,7 +142,7 @@ impl DepthPyramid {
 }
 
 /// What the maps prove about light `index` at a surface. The rule is the module's.
-pub fn certify(maps: &ShadowMaps, index: u32, light: &Light, s: &Surface) -> Certainty {
+pub fn certify(maps: &ShadowMaps, index: u32, light: &Light, s: &RayStart) -> Certainty {
     use Certainty::Unknown;
     let number = maps.plan.view_of(index, light.position_world, s.position_world) as usize;
     let (view, pyramid) = (&maps.plan.views[number], &maps.pyramids[number]);

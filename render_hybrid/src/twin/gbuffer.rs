@@ -19,7 +19,7 @@ use crate::{
         facet::{Facet, FacetLanes, FacetSource, Facets},
         points::{Glossy, LANES, Lane, PointBatch, PointSurface, make_room, store},
         shade::FrameContext,
-        surface::{PixelCone, Surface, surface_seen},
+        surface::{PixelCone, RayStart, Surface, surface_seen},
     },
 };
 
@@ -43,8 +43,6 @@ pub struct GBuffer {
     pub points: PointBatch,
     /// Bit i of run r: the pixel has a mirror or glass share.
     traced: Vec<u16>,
-    /// One a pixel where traced visibility wants them; else empty.
-    pub surfaces: Vec<Surface>,
     facets: Facets,
     candidates: Vec<u32>,
     mixed: FacetLanes,
@@ -67,8 +65,8 @@ impl Default for CameraScan {
 impl GBuffer {
     /// Fills the tile.
     /// * `band`: numbers of the triangles that may cover the tile's rows, ascending
-    /// * `surfaces`: fill [`Self::surfaces`] too
-    pub fn fill(&mut self, ctx: &FrameContext, scan: &CameraScan, band: &[u32], rect: TileRect, surfaces: bool) {
+    /// * `ray_starts`: rays to the lights will start from its points
+    pub fn fill(&mut self, ctx: &FrameContext, scan: &CameraScan, band: &[u32], rect: TileRect, ray_starts: bool) {
         let (x1, list) = (rect.x + rect.width - 1, &scan.list);
         self.candidates.clear();
         let of_columns = |n: &&u32| {
@@ -80,21 +78,13 @@ impl GBuffer {
         self.rect = Some(rect);
         self.facets.begin(ctx);
         let runs = self.visible.triangle.len();
+        self.points.keep_ray_starts(ray_starts);
         self.points.reset(runs * LANES);
         self.traced.clear();
         self.traced.resize(runs, 0);
         let eye = Eye::of(&ctx.scene.camera, scan.view.width, scan.view.height);
         for run in 0..runs {
             self.fill_run(ctx, list, &eye, run);
-        }
-        self.surfaces.clear();
-        if surfaces {
-            self.surfaces.resize(runs * LANES, Surface::nowhere());
-            for i in 0..runs * LANES {
-                if let Some((surface, _)) = self.surface(ctx, scan, &eye, i) {
-                    self.surfaces[i] = surface;
-                }
-            }
         }
     }
 
@@ -114,6 +104,10 @@ impl GBuffer {
                 store(&mut self.points.base_color, at, &zero);
                 store(&mut self.points.radiance, at, &background);
                 self.points.matte[at..at + LANES].fill(0.0);
+                if self.points.has_ray_starts() {
+                    store(&mut self.points.n_geometric, at, &zero);
+                    self.points.error[at..at + LANES].fill(0.0);
+                }
                 return;
             }
             let triangle = list.triangle(first);
@@ -143,7 +137,7 @@ impl GBuffer {
             for (lane, &number) in numbers.iter().enumerate() {
                 if number == TileBuffers::NONE {
                     let own = ctx.scene.environment.background;
-                    self.points.set(at + lane, &PointSurface { own, ..PointSurface::default() });
+                    self.points.set(at + lane, &PointSurface { own, ..PointSurface::default() }, &RayStart::default());
                 }
             }
         }
@@ -166,7 +160,7 @@ impl GBuffer {
             let (direction, hit) = (eye.direction(x, y), hit_at(triangle, x, y, t));
             let width = eye.cone.at(t);
             let s = surface_seen(ctx.scene, ctx.normals, &Ray::new(Vec3::ZERO, direction), &hit, width);
-            self.points.set(i, &point_of(ctx, &s));
+            self.points.set(i, &point_of(ctx, &s), &s.ray_start());
             look = s.look;
             traced = look.is_traced();
             glossy = look.specular != Vec3::ZERO && !ctx.scene.materials[s.material as usize].unlit;
@@ -244,7 +238,7 @@ impl GBuffer {
         for i in 0..self.points.len() {
             let x = self.place(i).0;
             if x < rect.x || x >= rect.x + rect.width {
-                self.points.set(i, &PointSurface::default());
+                self.points.set(i, &PointSurface::default(), &RayStart::default());
             }
         }
     }
@@ -353,6 +347,7 @@ fn run_body(
     let mut color = [[0.0f32; LANES]; 3];
     let mut own = [[0.0f32; LANES]; 3];
     let mut matte = [0.0f32; LANES];
+    let mut n_geometric = [[0.0f32; LANES]; 3];
     for lane in 0..LANES {
         let dx = lane as f32;
         let at = |i: usize| (weight(i, 0, lane) * dx + weight(i, 1, lane) * dy) + weight(i, 2, lane);
@@ -386,6 +381,10 @@ fn run_body(
         for axis in 0..3 {
             normal[axis][lane] = if usable { n[axis] } else { o[axis] } * inverse;
         }
+        let side = if facing < 0.0 { 1.0 } else { -1.0 };
+        for axis in 0..3 {
+            n_geometric[axis][lane] = o[axis] * side;
+        }
         matte[lane] = f.matte(lane);
     }
     store(&mut points.position, at, &position);
@@ -393,6 +392,12 @@ fn run_body(
     store(&mut points.base_color, at, &color);
     store(&mut points.radiance, at, &own);
     points.matte[at..at + LANES].copy_from_slice(&matte);
+    if points.has_ray_starts() {
+        store(&mut points.n_geometric, at, &n_geometric);
+        for lane in 0..LANES {
+            points.error[at + lane] = f.error(lane);
+        }
+    }
 }
 
 /// Corner weights of a run's pixels: functions of the place within a block, `[function][term]`.

@@ -25,7 +25,7 @@ use crate::{
         camera_rays::camera_ray,
         points::{LANES, Lane, PointBatch, PointSurface, accumulate_directional, lane, lanes, make_room, store},
         shade::FrameContext,
-        surface::{PixelCone, surface_seen},
+        surface::{PixelCone, RayStart, surface_seen},
     },
 };
 
@@ -260,7 +260,7 @@ fn fill_row(ctx: &FrameContext, spacing: u32, row: u32, points: &mut [GridPoint]
         }
         let normal = if seen.matte > 0.0 { seen.normal } else { Vec3::ZERO };
         *point = GridPoint { position_world: seen.position_world, normal, ..GridPoint::default() };
-        s.points.push(&seen);
+        s.points.push(&seen, &RayStart::default());
     }
     s.points.pad();
     s.arriving.clear();

@@ -16,7 +16,6 @@ use crate::{
         direct,
         points::{LANES, PointBatch, PointSurface, make_room},
         shade::{self, FrameContext, VplRays},
-        surface::Surface,
         whitted::{self, MaskedPixel, WhittedScratch},
     },
 };
@@ -68,7 +67,6 @@ pub struct TileScratch {
     points: PointBatch,
     point_of: Vec<u32>,
     missing: Vec<u32>,
-    subset_surfaces: Vec<Surface>,
     vpl_rays: VplRays,
     /// The tile's pixels with a mirror or glass share; empty where they are not traced.
     pub masked: Vec<MaskedPixel>,
@@ -91,7 +89,7 @@ pub fn render_tile(ctx: &FrameContext, scan: &CameraScan, rect: TileRect, s: &mu
         start = now;
     };
     let band = std::mem::take(&mut s.band);
-    s.gbuffer.fill(ctx, scan, &band, rect, shade::wants_surfaces(ctx));
+    s.gbuffer.fill(ctx, scan, &band, rect, shade::wants_ray_starts(ctx));
     s.band = band;
     stats.rays.camera += u64::from(rect.width) * u64::from(rect.height);
     lap(0, &mut stats);
@@ -110,13 +108,13 @@ pub fn render_tile(ctx: &FrameContext, scan: &CameraScan, rect: TileRect, s: &mu
 fn fill_direct(ctx: &FrameContext, s: &mut TileScratch, rays: &mut RayCounts) {
     let g = &mut s.gbuffer;
     // Runs may reach beyond the tile; what they have too much must cast no rays.
-    if shade::wants_surfaces(ctx) {
+    if shade::wants_ray_starts(ctx) {
         g.blacken_outside();
     }
     let (x, y, runs, width) = (g.visible.x, g.visible.y, g.visible.runs, ctx.settings.width);
     let row = (runs * LANES) as u32;
     let pixel = |i: usize| (y + i as u32 / row) * width + x + i as u32 % row;
-    direct::direct_light(ctx, &mut g.points, &g.surfaces, pixel, rays);
+    direct::direct_light(ctx, &mut g.points, pixel, rays);
 }
 
 /// Irradiance of the tile's pixels by all VPLs.
@@ -125,7 +123,7 @@ pub fn fill_indirect(ctx: &FrameContext, s: &mut TileScratch, rays: &mut RayCoun
         return fill_from_grid(ctx, s, rays);
     }
     let g = &mut s.gbuffer;
-    shade::indirect_light(ctx, 0..ctx.vpls.len(), &mut g.points, &g.surfaces, &mut s.vpl_rays, rays);
+    shade::indirect_light(ctx, 0..ctx.vpls.len(), &mut g.points, &mut s.vpl_rays, rays);
 }
 
 /// Irradiance of the tile's pixels from the picture's grid, and as hits in mirrors are lit where that cannot tell.
@@ -137,18 +135,20 @@ fn fill_from_grid(ctx: &FrameContext, s: &mut TileScratch, rays: &mut RayCounts)
     s.points.reserve([AT_A_TIME, 0]);
     for missing in s.missing.chunks(AT_A_TIME) {
         s.points.clear();
+        s.points.keep_ray_starts(g.points.has_ray_starts());
         for &i in missing {
             let i = i as usize;
-            s.points.push(&PointSurface {
+            let surface = PointSurface {
                 position_world: g.points.position_world(i),
                 normal: g.points.normal(i),
                 base_color: g.points.base_color(i),
                 matte: g.points.matte[i],
                 own: Vec3::ZERO,
-            });
+            };
+            s.points.push(&surface, &g.points.ray_start(i));
         }
         s.points.pad();
-        shade::indirect_light_of_hits(ctx, &mut s.points, &[], &mut s.vpl_rays, rays);
+        shade::indirect_light_of_hits(ctx, &mut s.points, &mut s.vpl_rays, rays);
         for (p, &i) in missing.iter().enumerate() {
             g.points.set_irradiance(i as usize, s.points.irradiance(p));
         }
@@ -167,26 +167,26 @@ fn fill_guides(ctx: &FrameContext, n: u32, s: &mut TileScratch, rays: &mut RayCo
     for k in 0..n * n {
         let run = interleave::subset_range(ctx.vpls.len(), k, n * n);
         s.points.clear();
+        s.points.keep_ray_starts(s.gbuffer.points.has_ray_starts());
         s.point_of.clear();
-        s.subset_surfaces.clear();
         for i in 0..s.gbuffer.points.len() {
             let (x, y) = s.gbuffer.place(i);
             let points = &s.gbuffer.points;
             if interleave::subset_of(x, y, n) != k || points.albedo(i) == Vec3::ZERO {
                 continue;
             }
-            s.points.push(&PointSurface {
+            let surface = PointSurface {
                 position_world: points.position_world(i),
                 normal: points.normal(i),
                 base_color: points.base_color(i),
                 matte: points.matte[i],
                 own: Vec3::ZERO,
-            });
+            };
+            s.points.push(&surface, &points.ray_start(i));
             s.point_of.push(i as u32);
-            s.subset_surfaces.extend(s.gbuffer.surfaces.get(i));
         }
         s.points.pad();
-        shade::indirect_light(ctx, run, &mut s.points, &s.subset_surfaces, &mut s.vpl_rays, rays);
+        shade::indirect_light(ctx, run, &mut s.points, &mut s.vpl_rays, rays);
         for (p, &i) in s.point_of.iter().enumerate() {
             s.guides[i as usize] = Guide {
                 position_world: s.points.position_world(p),
