@@ -31,6 +31,10 @@ use crate::accel::{Hit, Ray};
 pub(super) const RAYS: usize = 16;
 /// At most so many rays in a subtree: each goes alone.
 const FEW: u32 = 2;
+/// As [`FEW`], where the packet falls into more than [`LIKE`] groups: so are diffuse rays, and what they have in common ends
+/// soon.
+const FEW_UNLIKE: u32 = 5;
+const LIKE: u32 = 3;
 /// Greatest ratio of reciprocal directions within a packet that is tested as one at inner nodes.
 const TIGHT: f32 = 1.2;
 /// An axis whose reciprocals all exceed the main axis's so many times may vary freely: its planes are crossed late or never.
@@ -96,10 +100,11 @@ unsafe fn instance<L: Level, const CLOSEST: bool>(
         let kinds = Kinds::new::<L>(&d);
         // The boxes of the world hold this instance's: what is padded for them is padded for these.
         let above = above.filter(|_| record.identity);
+        let few = if above.is_some() { FEW } else { few_of(&kinds, left) };
         while left != 0 {
             let group = if above.is_some() { left } else { kinds.like_first(left) };
             left &= !group;
-            if group.count_ones() <= FEW {
+            if group.count_ones() <= few {
                 singly |= group;
                 continue;
             }
@@ -146,6 +151,17 @@ unsafe fn instance<L: Level, const CLOSEST: bool>(
         }
         rays.settle::<L>();
     }
+}
+
+/// At most so many like rays of a packet go alone.
+#[inline(always)]
+fn few_of(kinds: &Kinds, mask: u32) -> u32 {
+    let (mut left, mut groups) = (mask, 0);
+    while left != 0 {
+        left &= !kinds.like_first(left);
+        groups += 1;
+    }
+    if groups > LIKE { FEW_UNLIKE } else { FEW }
 }
 
 /// The level's number of rays, all usable and of moderate direction, and which of them went together with others that are
@@ -201,10 +217,11 @@ unsafe fn together<L: Level, const CLOSEST: bool>(world: &World, input: &[Ray]) 
         } else if world.tlas.root != EMPTY {
             let kinds = Kinds::new::<L>(&d);
             let mut left = all;
+            let few = few_of(&kinds, left);
             while left != 0 {
                 let group = kinds.like_first(left);
                 left &= !group;
-                if group.count_ones() > FEW {
+                if group.count_ones() > few {
                     let space = Space::new::<L>(&o, &d, &kinds, group, world.extent, world.slack);
                     let mut v = Above::<CLOSEST> { world, space: &space };
                     walk::<L, _>(&world.tlas.nodes, world.tlas.root, &space, &mut rays, group, &mut v);
