@@ -78,6 +78,11 @@ struct Heap {
     used: u64,
 }
 
+/// Linear light of each sRGB byte, by the CPU's own function.
+pub(crate) fn linear_of_srgb() -> [f32; 256] {
+    std::array::from_fn(|i| math::linear_from_srgb(i as f32 / 255.0))
+}
+
 impl Heap {
     fn new(gpu: &Gpu, label: &'static str) -> Self {
         let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST;
@@ -161,8 +166,7 @@ impl SceneBuffers {
             })
         };
         let srgb_table = uniform("frame.srgb_table", 1024);
-        let table: [f32; 256] = std::array::from_fn(|i| math::linear_from_srgb(i as f32 / 255.0));
-        gpu.upload(&srgb_table, 0, bytemuck::cast_slice(&table));
+        gpu.upload(&srgb_table, 0, bytemuck::cast_slice(&linear_of_srgb()));
         Self {
             layout,
             group: None,

@@ -5,8 +5,15 @@ use super::{
     pipeline::{Slot, compute_pipeline, group, group_layout, linear_dispatch, pipeline_layout},
     readback::Readback,
     shader,
+    tracer::probe::HeldScene,
 };
-use crate::error::RenderError;
+use crate::{
+    error::RenderError,
+    trace::{
+        facet::Facet,
+        surface::{NormalMatrices, Surface},
+    },
+};
 
 pub use super::shader::{PASSES, SHARED, stitch};
 
@@ -72,10 +79,78 @@ impl ShaderProbe {
         body: &str,
         inputs: &[[f32; N]],
     ) -> Result<Vec<[f32; M]>, RenderError> {
-        let rows = inputs.len();
         let mut source: String = imports.iter().map(|i| format!("#import {i}\n")).collect();
-        source.push_str(&format!(
-            "@group(1) @binding(0) var<storage, read> inputs: array<f32>;
+        source.push_str(&kernel::<N, M>(body, inputs.len()));
+        run(&self.gpu, &shader::stitch_source("probe", &source), None, inputs)
+    }
+
+    /// A scene in the compute tracer's heaps, whose functions can then be evaluated.
+    ///
+    /// # Errors
+    /// As [`Self::closest_hits`].
+    pub fn hold(
+        &self,
+        scene: &catoptra_engine::RenderScene,
+        accel: &crate::accel::Accel,
+    ) -> Result<SceneProbe<'_>, RenderError> {
+        let held = HeldScene::new(&self.gpu, scene, accel)?;
+        Ok(SceneProbe { gpu: &self.gpu, held })
+    }
+}
+
+/// A scene as the compute tracer holds it: see [`ShaderProbe::hold`].
+pub struct SceneProbe<'a> {
+    gpu: &'a Gpu,
+    held: HeldScene,
+}
+
+impl SceneProbe<'_> {
+    /// [`ShaderProbe::evaluate`] with everything that `shaders/tracer` has in reach: heaps, walks, surfaces, media, optics.
+    /// * `edits`: pieces of the WGSL, each of which stands there once, and what takes their places: faults that a test must
+    ///   notice, counters
+    ///
+    /// # Errors
+    /// As [`ShaderProbe::evaluate`].
+    ///
+    /// # Panics
+    /// Where a piece does not stand there once.
+    pub fn evaluate<const N: usize, const M: usize>(
+        &self,
+        edits: &[(&str, &str)],
+        body: &str,
+        inputs: &[[f32; N]],
+    ) -> Result<Vec<[f32; M]>, RenderError> {
+        let mut text = self.held.text(&kernel::<N, M>(body, inputs.len()));
+        for (from, to) in edits {
+            assert_eq!(text.matches(from).count(), 1, "{from:?} stands once in the text");
+            text = text.replace(from, to);
+        }
+        run(self.gpu, &text, Some(self.held.group()), inputs)
+    }
+}
+
+/// The surface that `hit` met by the tracer's own way to it: a kept triangle for plain materials, else
+/// [`crate::trace::surface::surface_seen`].
+pub fn surface_by_facet(
+    scene: &catoptra_engine::RenderScene,
+    normals: &NormalMatrices,
+    ray: &crate::accel::Ray,
+    hit: &crate::accel::Hit,
+    pixel_width: f32,
+) -> Surface {
+    let facet = Facet::new(scene, normals, hit.instance_id, hit.primitive_id);
+    facet.surface_seen(scene, normals, ray, hit, pixel_width)
+}
+
+/// Mirror direction of the direction of travel `d`, above the triangle's horizon: the tracer's own.
+pub fn mirrored(d: glam::Vec3, n_shading: glam::Vec3, n_geometric: glam::Vec3) -> glam::Vec3 {
+    crate::trace::optics::mirrored(d, n_shading, n_geometric)
+}
+
+/// Bindings and entry point around statements from `x` to `y`.
+fn kernel<const N: usize, const M: usize>(body: &str, rows: usize) -> String {
+    format!(
+        "@group(1) @binding(0) var<storage, read> inputs: array<f32>;
 @group(1) @binding(1) var<storage, read_write> outputs: array<f32>;
 @compute @workgroup_size(64)
 fn evaluate(
@@ -98,35 +173,46 @@ fn evaluate(
     }}
 }}
 "
-        ));
-        let gpu = &self.gpu;
-        gpu.scoped(|| {
-            let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC;
-            let buffer = |label, numbers: usize| GrowBuffer::new(gpu, label, usage, numbers as u64 * 4);
-            let (from, to) = (buffer("probe.inputs", rows * N), buffer("probe.outputs", rows * M));
-            gpu.upload(&from.buffer, 0, bytemuck::cast_slice(inputs.as_flattened()));
-            let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
-                label: Some("probe"),
-                source: wgpu::ShaderSource::Wgsl(shader::stitch_source("probe", &source).into()),
-            });
-            let slots = [Slot::Storage(true), Slot::Storage(false)];
-            let layout = group_layout(gpu, "probe.group", wgpu::ShaderStages::COMPUTE, &slots);
-            let pipeline_layout = pipeline_layout(gpu, "probe", None, Some(&layout));
-            let pipeline = compute_pipeline(gpu, &module, &pipeline_layout, "evaluate");
-            let resources = [from.buffer.as_entire_binding(), to.buffer.as_entire_binding()];
-            let group = group(gpu, "probe.group", &layout, &resources);
-            let mut encoder = gpu.encoder("probe");
-            {
-                let mut pass = encoder
-                    .begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("probe"), timestamp_writes: None });
-                pass.set_pipeline(&pipeline);
-                pass.set_bind_group(1, &group, &[]);
-                let (x, y) = linear_dispatch(rows.div_ceil(64) as u64);
-                pass.dispatch_workgroups(x, y, 1);
+    )
+}
+
+/// * `scene`: layout and resources of group 0
+fn run<const N: usize, const M: usize>(
+    gpu: &Gpu,
+    text: &str,
+    scene: Option<(&wgpu::BindGroupLayout, &wgpu::BindGroup)>,
+    inputs: &[[f32; N]],
+) -> Result<Vec<[f32; M]>, RenderError> {
+    let rows = inputs.len();
+    gpu.scoped(|| {
+        let usage = wgpu::BufferUsages::STORAGE | wgpu::BufferUsages::COPY_DST | wgpu::BufferUsages::COPY_SRC;
+        let buffer = |label, numbers: usize| GrowBuffer::new(gpu, label, usage, numbers as u64 * 4);
+        let (from, to) = (buffer("probe.inputs", rows * N), buffer("probe.outputs", rows * M));
+        gpu.upload(&from.buffer, 0, bytemuck::cast_slice(inputs.as_flattened()));
+        let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor {
+            label: Some("probe"),
+            source: wgpu::ShaderSource::Wgsl(text.into()),
+        });
+        let slots = [Slot::Storage(true), Slot::Storage(false)];
+        let layout = group_layout(gpu, "probe.group", wgpu::ShaderStages::COMPUTE, &slots);
+        let pipeline_layout = pipeline_layout(gpu, "probe", scene.map(|s| s.0), Some(&layout));
+        let pipeline = compute_pipeline(gpu, &module, &pipeline_layout, "evaluate");
+        let resources = [from.buffer.as_entire_binding(), to.buffer.as_entire_binding()];
+        let own = group(gpu, "probe.group", &layout, &resources);
+        let mut encoder = gpu.encoder("probe");
+        {
+            let mut pass = encoder
+                .begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("probe"), timestamp_writes: None });
+            pass.set_pipeline(&pipeline);
+            if let Some((_, scene)) = scene {
+                pass.set_bind_group(0, scene, &[]);
             }
-            gpu.queue.submit([encoder.finish()]);
-            let flat: Vec<f32> = Readback::new(gpu).buffer(gpu, &to.buffer, 0, (rows * M) as u64 * 4)?;
-            Ok(flat.as_chunks::<M>().0.to_vec())
-        })
-    }
+            pass.set_bind_group(1, &own, &[]);
+            let (x, y) = linear_dispatch(rows.div_ceil(64) as u64);
+            pass.dispatch_workgroups(x, y, 1);
+        }
+        gpu.queue.submit([encoder.finish()]);
+        let flat: Vec<f32> = Readback::new(gpu).buffer(gpu, &to.buffer, 0, (rows * M) as u64 * 4)?;
+        Ok(flat.as_chunks::<M>().0.to_vec())
+    })
 }

@@ -8,7 +8,7 @@ use super::{
     optics::{Optics, Pane},
     points::Lane,
     shade::FrameContext,
-    surface::{Surface, outward, surface_seen},
+    surface::{NormalMatrices, Surface, outward, surface_seen},
 };
 use crate::accel::{Hit, Ray};
 
@@ -68,8 +68,7 @@ impl Facet {
         }
     }
 
-    fn new(ctx: &FrameContext, instance_id: u32, primitive_id: u32) -> Self {
-        let scene: &RenderScene = ctx.scene;
+    pub fn new(scene: &RenderScene, normals: &NormalMatrices, instance_id: u32, primitive_id: u32) -> Self {
         let instance = &scene.instances[instance_id as usize];
         let mesh = &scene.meshes[instance.mesh as usize];
         let m = &scene.materials[instance.material as usize];
@@ -79,7 +78,7 @@ impl Facet {
             [] => [m.base_color; 3],
             colors => vertices.map(|v| m.base_color * colors[v].truncate()),
         };
-        let normal_matrix = ctx.normals.of(instance_id);
+        let normal_matrix = normals.of(instance_id);
         let look = m.look();
         let ambient = scene.environment.ambient * (m.ambient * look.matte_weight());
         let transform = &instance.world_from_object;
@@ -122,6 +121,22 @@ impl Facet {
     #[inline]
     pub fn is_plain(&self) -> bool {
         !(self.textured | self.glossy | self.traced | (self.outward == [0.0; 3]))
+    }
+
+    /// The surface that `hit` met on it. As [`surface_seen`], to rounding.
+    #[inline]
+    pub fn surface_seen(
+        &self,
+        scene: &RenderScene,
+        normals: &NormalMatrices,
+        ray: &Ray,
+        hit: &Hit,
+        pixel_width: f32,
+    ) -> Surface {
+        if self.textured {
+            return surface_seen(scene, normals, ray, hit, pixel_width);
+        }
+        self.surface(ray.direction, hit.u, hit.v)
     }
 
     /// The surface at barycentric coordinates (u, v), without textures.
@@ -289,7 +304,7 @@ impl Facets {
         let place = (primitive_id ^ instance_id.wrapping_mul(0x9e37_79b1)) as usize % KEPT;
         let kept = &mut self.kept[place];
         if kept.primitive_id != primitive_id || kept.instance_id != instance_id {
-            *kept = Facet::new(ctx, instance_id, primitive_id);
+            *kept = Facet::new(ctx.scene, ctx.normals, instance_id, primitive_id);
         }
         kept
     }
@@ -297,10 +312,6 @@ impl Facets {
     /// As [`surface_seen`], to rounding.
     #[inline]
     pub fn surface(&mut self, ctx: &FrameContext, ray: &Ray, hit: &Hit, pixel_width: f32) -> Surface {
-        let facet = self.of(ctx, hit.instance_id, hit.primitive_id);
-        if facet.textured {
-            return surface_seen(ctx.scene, ctx.normals, ray, hit, pixel_width);
-        }
-        facet.surface(ray.direction, hit.u, hit.v)
+        self.of(ctx, hit.instance_id, hit.primitive_id).surface_seen(ctx.scene, ctx.normals, ray, hit, pixel_width)
     }
 }

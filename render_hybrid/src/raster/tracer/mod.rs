@@ -6,6 +6,7 @@
 mod heap;
 mod layout;
 mod photons;
+pub(crate) mod probe;
 pub(crate) mod query;
 mod rayquery;
 mod scene;

@@ -164,16 +164,24 @@ fn constants(v: &Variant) -> String {
 /// # Panics
 /// Where it does not exist: a mistake in this crate, met by its tests.
 pub(crate) fn text(kernel: &str, v: &Variant) -> String {
+    let source = file(&format!("tracer/{kernel}")).unwrap_or_else(|| panic!("there is no kernel {kernel}"));
+    text_of(&format!("tracer_{kernel}"), source, v)
+}
+
+fn file(name: &str) -> Option<&'static str> {
+    FILES.iter().find(|(n, _)| *n == name).map(|(_, text)| *text)
+}
+
+/// [`text`] of a kernel that is not among the files; `name` is its name in dumps.
+pub(crate) fn text_of(name: &str, source: &str, v: &Variant) -> String {
     let heaps = heaps(v.heaps);
-    let file = |name: &str| FILES.iter().find(|(n, _)| *n == name).map(|(_, text)| *text);
     let own = |import: &str| match import {
         "tracer/heaps" => Some(heaps.as_str()),
         "tracer/kd_hit" => file(if v.kd { "tracer/kd" } else { "tracer/no_kd" }),
         "tracer/hits" if v.rayquery => file("tracer/hits_rayquery"),
         other => file(other),
     };
-    let source = file(&format!("tracer/{kernel}")).unwrap_or_else(|| panic!("there is no kernel {kernel}"));
-    stitch_with(&format!("tracer_{kernel}"), &constants(v), source, &own)
+    stitch_with(name, &constants(v), source, &own)
 }
 
 #[cfg(test)]
