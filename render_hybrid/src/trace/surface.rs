@@ -3,7 +3,7 @@
 use catoptra_engine::{
     Camera, Look, PhysicalPlace, Projection, RenderScene, TextureRef, material::metal_of_reflectance, math,
 };
-use glam::{Mat3, Vec2, Vec3};
+use glam::{Mat3, Vec2, Vec3, Vec4};
 
 use super::optics::leave;
 use crate::accel::{Hit, Ray};
@@ -257,23 +257,26 @@ pub fn surface_seen(scene: &RenderScene, normals: &NormalMatrices, ray: &Ray, hi
         texture.sample_lod(r, uv, lod)
     };
     let n_shading = match &material.normal_texture {
-        Some(r) if !uv_set(r).is_empty() => {
+        Some(r) => {
+            // Where there is no tangent, the texture coordinates span the frame; where there are none, either, nothing does.
+            let tangent = match mesh.tangents() {
+                [] => Vec4::ZERO,
+                frames => frames[i0] * w + frames[i1] * u + frames[i2] * v,
+            };
             let set = uv_set(r);
-            let (along_u, along_v) = match mesh.tangents() {
-                [] => {
-                    let (duv1, duv2) = (finite(set[i1]) - finite(set[i0]), finite(set[i2]) - finite(set[i0]));
-                    tangents(e1 * scale, e2 * scale, duv1, duv2)
-                }
-                frames => {
-                    let t = frames[i0] * w + frames[i1] * u + frames[i2] * v;
-                    (t.truncate(), -interpolated.cross(t.truncate()) * t.w)
-                }
+            let (along_u, along_v) = if tangent.truncate() != Vec3::ZERO {
+                (tangent.truncate(), -interpolated.cross(tangent.truncate()) * tangent.w)
+            } else if set.is_empty() {
+                (Vec3::ZERO, Vec3::ZERO)
+            } else {
+                let (duv1, duv2) = (finite(set[i1]) - finite(set[i0]), finite(set[i2]) - finite(set[i0]));
+                tangents(e1 * scale, e2 * scale, duv1, duv2)
             };
             let texel = sample(r).truncate();
             let to_world = |d: Vec3| m.matrix3 * d;
             perturbed_normal(n_shading, to_world(along_u), to_world(along_v), texel, material.normal_scale)
         }
-        _ => n_shading,
+        None => n_shading,
     };
     let n_shading = if flipped { -n_shading } else { n_shading };
 

@@ -55,8 +55,9 @@ fn beer_lambert(attenuation_color: vec3f, attenuation_distance: f32, travelled: 
     if attenuation_distance >= FAR_AWAY || travelled <= 0.0 {
         return vec3f(1.0);
     }
-    // 0 to a small power would be an infinite logarithm.
+    // 0 to a power would be an infinite logarithm: nothing is left, however short the way.
     let x = min(travelled / attenuation_distance, 1e30);
     let absorbed = pow(max(attenuation_color, vec3f(1e-30)), vec3f(x));
-    return select(absorbed, vec3f(1.0), attenuation_color >= vec3f(1.0));
+    let left = select(absorbed, vec3f(0.0), attenuation_color <= vec3f(0.0));
+    return select(left, vec3f(1.0), attenuation_color >= vec3f(1.0));
 }
