@@ -22,6 +22,7 @@ mod hand;
 mod hashes;
 mod known_issue;
 mod numbers;
+mod random;
 mod shared;
 mod snapshot;
 
@@ -31,6 +32,7 @@ pub use hand::{HandScene, at, wall_of_positions};
 pub use hashes::{HashError, HashLedger};
 pub use known_issue::known_issue;
 pub use numbers::{assert_close, assert_relative};
+pub use random::Random;
 pub use shared::shared_or_skip;
 pub use snapshot::{FlipLimits, Rendering, SnapshotError, SnapshotFolder, SnapshotReport};
 

@@ -15,7 +15,7 @@ use catoptra_render_hybrid::{
         testing::{InjectedFault, ShaderProbe},
     },
 };
-use catoptra_tests::{opened_or_skip, shared_or_skip};
+use catoptra_tests::{Random, opened_or_skip, shared_or_skip};
 use std::sync::Arc;
 
 /// Between traced layers.
@@ -36,23 +36,6 @@ fn settings() -> RenderSettings {
 fn renderer(test: &str, tracer: Tracer) -> Option<Renderer> {
     let options = RendererOptions { raster: RasterLane::Gpu, tracer, ..RendererOptions::default() };
     opened_or_skip(test, Renderer::new(options))
-}
-
-/// Numbers that are the same on every run.
-struct Random(u32);
-
-impl Random {
-    fn bits(&mut self) -> u32 {
-        self.0 = self.0.wrapping_mul(747_796_405).wrapping_add(2_891_336_453);
-        let w = ((self.0 >> ((self.0 >> 28) + 4)) ^ self.0).wrapping_mul(277_803_737);
-        (w >> 22) ^ w
-    }
-    fn unit(&mut self) -> f32 {
-        (self.bits() >> 8) as f32 / 16_777_216.0
-    }
-    fn vec(&mut self) -> Vec3 {
-        Vec3::new(self.unit(), self.unit(), self.unit()) * 2.0 - 1.0
-    }
 }
 
 fn one_mesh(mesh: Mesh, place: Affine3) -> RenderScene {

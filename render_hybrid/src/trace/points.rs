@@ -190,6 +190,18 @@ impl PointBatch {
         self.len += 1;
     }
 
+    /// Adds point `i` of another batch, without radiance of its own, to be lit anew.
+    pub fn push_from(&mut self, from: &PointBatch, i: usize) {
+        let surface = PointSurface {
+            position_world: from.position_world(i),
+            normal: from.normal(i),
+            base_color: from.base_color(i),
+            matte: from.matte[i],
+            own: Vec3::ZERO,
+        };
+        self.push(&surface, &from.ray_start(i));
+    }
+
     /// Adds the places of `mask`'s lanes, in their order.
     pub(crate) fn push_lanes(&mut self, from: &SurfaceLanes, mask: u16) {
         let first = self.len;

@@ -14,7 +14,7 @@ use crate::{
     simd::dispatch,
     trace::{
         direct,
-        points::{LANES, PointBatch, PointSurface, make_room},
+        points::{LANES, PointBatch, make_room},
         shade::{self, FrameContext, VplRays},
         whitted::{self, MaskedPixel, WhittedScratch},
     },
@@ -137,15 +137,7 @@ fn fill_from_grid(ctx: &FrameContext, s: &mut TileScratch, rays: &mut RayCounts)
         s.points.clear();
         s.points.keep_ray_starts(g.points.has_ray_starts());
         for &i in missing {
-            let i = i as usize;
-            let surface = PointSurface {
-                position_world: g.points.position_world(i),
-                normal: g.points.normal(i),
-                base_color: g.points.base_color(i),
-                matte: g.points.matte[i],
-                own: Vec3::ZERO,
-            };
-            s.points.push(&surface, &g.points.ray_start(i));
+            s.points.push_from(&g.points, i as usize);
         }
         s.points.pad();
         shade::indirect_light_of_hits(ctx, &mut s.points, &mut s.vpl_rays, rays);
@@ -175,14 +167,7 @@ fn fill_guides(ctx: &FrameContext, n: u32, s: &mut TileScratch, rays: &mut RayCo
             if interleave::subset_of(x, y, n) != k || points.albedo(i) == Vec3::ZERO {
                 continue;
             }
-            let surface = PointSurface {
-                position_world: points.position_world(i),
-                normal: points.normal(i),
-                base_color: points.base_color(i),
-                matte: points.matte[i],
-                own: Vec3::ZERO,
-            };
-            s.points.push(&surface, &points.ray_start(i));
+            s.points.push_from(points, i);
             s.point_of.push(i as u32);
         }
         s.points.pad();

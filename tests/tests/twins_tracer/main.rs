@@ -11,13 +11,13 @@ mod scenes;
 mod split;
 mod surface;
 
-use catoptra_engine::{RenderScene, glam::Vec3};
+use catoptra_engine::RenderScene;
 use catoptra_render_hybrid::{
     BlasKind,
     accel::{Accel, AccelOptions},
     raster::testing::ShaderProbe,
 };
-use catoptra_tests::opened_or_skip;
+use catoptra_tests::{Random, opened_or_skip};
 
 fn probe() -> Option<ShaderProbe> {
     opened_or_skip("twins_tracer", ShaderProbe::new())
@@ -28,36 +28,6 @@ fn followed(scene: &RenderScene, blas: BlasKind) -> Accel {
     let mut accel = Accel::new(AccelOptions { blas, ..AccelOptions::default() }).unwrap();
     accel.update(scene);
     accel
-}
-
-/// Numbers that are the same on every run. Source: O'Neill, "PCG", 2014 (RXS-M-XS).
-struct Random(u32);
-
-impl Random {
-    fn bits(&mut self) -> u32 {
-        self.0 = self.0.wrapping_mul(747_796_405).wrapping_add(2_891_336_453);
-        let w = ((self.0 >> ((self.0 >> 28) + 4)) ^ self.0).wrapping_mul(277_803_737);
-        (w >> 22) ^ w
-    }
-    fn below(&mut self, n: usize) -> usize {
-        self.bits() as usize % n
-    }
-    fn unit(&mut self) -> f32 {
-        (self.bits() >> 8) as f32 / 16_777_216.0
-    }
-    fn chance(&mut self, p: f32) -> bool {
-        self.unit() < p
-    }
-    fn color(&mut self) -> Vec3 {
-        Vec3::new(self.unit(), self.unit(), self.unit())
-    }
-    /// In the cube of side 2.
-    fn vec(&mut self) -> Vec3 {
-        self.color() * 2.0 - 1.0
-    }
-    fn direction(&mut self) -> Vec3 {
-        self.vec().normalize_or(Vec3::Y)
-    }
 }
 
 /// What the GPU may say: `low` to `high`, and `slack` more on both sides.
