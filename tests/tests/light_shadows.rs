@@ -119,7 +119,7 @@ fn certified_shadows_equal_traced_ones() {
         println!("{name}: {:.2} % equal with {:.1} % of the rays", equal * 100.0, share * 100.0);
         assert!(equal >= 0.995, "{name}: {equal}");
         // The atrium's carved edges leave more to rays.
-        let most = if name == "rolling-box-sponza" { 0.6 } else { 0.25 };
+        let most = 0.25;
         assert!(share <= most, "{name}: {share}");
     }
 }

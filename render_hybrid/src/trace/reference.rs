@@ -19,7 +19,7 @@ use super::{
     surface::{NormalMatrices, Surface, surface_at},
 };
 use crate::{
-    accel::Accel,
+    accel::{Accel, Hit, Ray},
     output::Image,
     settings::{GlassShadows, RenderSettings},
     twin::shading::beer_lambert,
@@ -143,11 +143,15 @@ impl ReferenceAccumulator {
             .map(|(y, (even, odd))| {
                 let mut rays = 0;
                 for x in 0..width {
+                    // All samples of a pixel begin with one ray, through its centre.
+                    let ray = camera_ray(&scene.camera, x as f32, y as f32, options.width, options.height);
+                    let seen = meet(scene, normals, accel, &ray);
+                    rays += u64::from(first == 0);
                     for index in first..first + samples {
                         let pixel = (y * width + x) as u32;
                         let mut path =
                             Path { scene, normals, accel, options, emissive, pixel, index, dimension: 0, rays: 0 };
-                        let radiance = path.radiance(x as u32, y as u32);
+                        let radiance = path.radiance(ray, seen);
                         rays += path.rays;
                         let sum = if index % 2 == 0 { &mut even[x] } else { &mut odd[x] };
                         if radiance.is_finite() {
@@ -163,6 +167,12 @@ impl ReferenceAccumulator {
         self.spp += samples;
         rays
     }
+}
+
+/// What a ray meets, and the surface there.
+fn meet(scene: &RenderScene, normals: &NormalMatrices, accel: &Accel, ray: &Ray) -> (Hit, Option<Surface>) {
+    let hit = accel.closest_hit(ray);
+    (hit, hit.is_hit().then(|| surface_at(scene, normals, ray, &hit)))
 }
 
 struct Path<'a> {
@@ -186,9 +196,9 @@ impl Path<'_> {
         sampling::sobol_2d(self.index, seed)
     }
 
-    fn radiance(&mut self, x: u32, y: u32) -> Vec3 {
+    /// Radiance along `ray`, which meets `seen`.
+    fn radiance(&mut self, mut ray: Ray, mut seen: (Hit, Option<Surface>)) -> Vec3 {
         let scene = self.scene;
-        let mut ray = camera_ray(&scene.camera, x as f32, y as f32, self.options.width, self.options.height);
         let (mut radiance, mut throughput) = (Vec3::ZERO, Vec3::ONE);
         let mut inside = MediumStack::default();
         // Light from a surface arrives with no next-event step: it takes one diffuse reflection more to see the same bounces.
@@ -196,20 +206,18 @@ impl Path<'_> {
             if self.emissive && self.options.bounces > 0 { self.options.bounces + 1 } else { self.options.bounces };
         let (mut diffuse_bounces, mut interfaces, mut crossed) = (0, 0, 0);
         loop {
-            self.rays += 1;
-            let hit = self.accel.closest_hit(&ray);
+            let (hit, s) = seen;
             if let Some(medium) = inside.current(scene) {
                 let m = &scene.materials[scene.instances[medium as usize].material as usize];
                 throughput *= beer_lambert(m.attenuation_color, m.attenuation_distance, hit.t);
             }
-            if !hit.is_hit() {
+            let Some(s) = s else {
                 // The background is seen, directly and in mirrors, but lights nothing.
                 if diffuse_bounces == 0 {
                     radiance += throughput * scene.environment.background;
                 }
                 return radiance;
-            }
-            let s = surface_at(scene, self.normals, &ray, &hit);
+            };
             let m = &scene.materials[s.material as usize];
             if diffuse_bounces == 0 || !m.unlit {
                 radiance += throughput * s.emission;
@@ -239,6 +247,7 @@ impl Path<'_> {
                     }
                     inside = o.behind;
                     ray = s.leaving_ray(ray.direction);
+                    seen = self.meet(&ray);
                     continue;
                 }
                 reflected_weight = o.reflected.element_sum();
@@ -261,6 +270,7 @@ impl Path<'_> {
                     return radiance;
                 }
                 ray = s.leaving_ray(d);
+                seen = self.meet(&ray);
                 diffuse_bounces += 1;
                 inside = MediumStack::default();
                 continue;
@@ -280,7 +290,13 @@ impl Path<'_> {
             if throughput.max_element() < 1e-5 {
                 return radiance;
             }
+            seen = self.meet(&ray);
         }
+    }
+
+    fn meet(&mut self, ray: &Ray) -> (Hit, Option<Surface>) {
+        self.rays += 1;
+        meet(self.scene, self.normals, self.accel, ray)
     }
 
     /// Next-event estimation: one point on the disc of every light.

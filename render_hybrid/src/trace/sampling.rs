@@ -52,18 +52,18 @@ fn owen_scramble(x: u32, seed: u32) -> u32 {
     x.reverse_bits()
 }
 
-/// Second dimension of the Sobol' sequence.
+/// Second dimension of the Sobol' sequence: digit k of the index (from the top) is the exclusive or of the digits j ≥ k for which
+/// the binomial coefficient (j over k) is odd, that is of those whose number contains k's bits; so a sum over supersets,
+/// one bit of the digits' numbers after the other.
 #[inline]
 fn sobol_1(index: u32) -> u32 {
-    let (mut v, mut x, mut i) = (1u32 << 31, 0, index);
-    while i != 0 {
-        if i & 1 != 0 {
-            x ^= v;
-        }
-        v ^= v >> 1;
-        i >>= 1;
-    }
-    x
+    let mut x = index;
+    x ^= (x & 0xffff_0000) >> 16;
+    x ^= (x & 0xff00_ff00) >> 8;
+    x ^= (x & 0xf0f0_f0f0) >> 4;
+    x ^= (x & 0xcccc_cccc) >> 2;
+    x ^= (x & 0xaaaa_aaaa) >> 1;
+    x.reverse_bits()
 }
 
 /// Sample `index` of a two-dimensional Owen-scrambled Sobol' set that is shuffled and scrambled by `seed`: one set per
