@@ -15,11 +15,12 @@ use std::time::Instant;
 use crate::{
     error::RenderError,
     gpu_frame,
-    output::{Frame, FrameStats, Image, Layer, StageTimes},
+    output::{Frame, FrameStats, Image, Layer, RayCounts, StageTimes},
     renderer::{FrameState, device_name, update_structures},
     settings::{RasterLane, RenderSettings, Shadows, SimdLevel, Tracer, VplOptions, VplShadows},
     trace::{
         budget,
+        choice::View,
         explain::{self, RayTree},
         points::Emitter,
         shade::FrameContext,
@@ -86,7 +87,7 @@ fn cpu_frame(
     (frame.stats.raster, frame.stats.tracer) = (RasterLane::Cpu, Tracer::Cpu);
     structures(state, scene, settings, &mut frame.stats);
     moments(state, level, scene, settings, &mut frame.stats);
-    virtual_lights(state, scene, settings, &mut frame.stats);
+    virtual_lights(state, level, scene, settings, &mut frame.stats);
     pixels(state, level, scene, settings, frame);
 }
 
@@ -113,7 +114,7 @@ pub(crate) fn explain_pixel(
     let mut stats = FrameStats::default();
     structures(state, scene, settings, &mut stats);
     moments(state, level, scene, settings, &mut stats);
-    virtual_lights(state, scene, settings, &mut stats);
+    virtual_lights(state, level, scene, settings, &mut stats);
     if settings.vpl.is_some_and(|v| v.interleave == 1) {
         light_grid(state, level, scene, settings);
     }
@@ -170,6 +171,7 @@ pub(crate) fn moments(
 /// Photons from the lights become VPLs; then the VPLs' shadow maps.
 pub(crate) fn virtual_lights(
     state: &mut FrameState,
+    level: SimdLevel,
     scene: &RenderScene,
     settings: &RenderSettings,
     stats: &mut FrameStats,
@@ -180,6 +182,11 @@ pub(crate) fn virtual_lights(
         // Light that nothing has touched since is the same light.
         if !state.lit_by.update(scene, settings) {
             state.photons.trace(scene, &state.normals, &state.accel, vpl, settings.seed);
+            if vpl.candidates > 1 {
+                let (normals, accel, size) = (&state.normals, &state.accel, [settings.width, settings.height]);
+                let geometry_term_max = geometry_term_max(scene, settings);
+                state.photons.choose(vpl.count, &View { scene, normals, accel, size, geometry_term_max, level });
+            }
             stats.rays.photon = state.photons.rays;
             // In runs of subsets; full evaluation then merely sums in another order.
             interleave::group_subsets(&mut state.photons.vpls, vpl.interleave * vpl.interleave);
@@ -187,7 +194,7 @@ pub(crate) fn virtual_lights(
             state.emitters.extend(state.photons.vpls.iter().map(Emitter::from));
             state.mirrored_emitters.clear();
             if vpl.mirrored > 0 {
-                let few = VplOptions { count: vpl.mirrored, ..*vpl };
+                let few = VplOptions { count: vpl.mirrored, candidates: 1, ..*vpl };
                 state.mirrored.trace(scene, &state.normals, &state.accel, &few, settings.seed);
                 stats.rays.photon += state.mirrored.rays;
                 state.mirrored_emitters.extend(state.mirrored.vpls.iter().map(Emitter::from));
@@ -195,6 +202,9 @@ pub(crate) fn virtual_lights(
             let size = if vpl.shadows == VplShadows::Maps { vpl.map_size } else { 0 };
             let (maps, accel) = (&mut state.vpl_maps, &state.accel);
             stats.rays.vpl_maps = maps.render(&state.photons.vpls, size, scene, accel, settings.glass_shadows);
+            let near = state.near_lights.make(scene, &state.normals, &state.accel, settings);
+            stats.rays.photon += near[0];
+            stats.rays.vpl_maps += near[1];
         }
     } else {
         state.lit_by.forget();
@@ -229,6 +239,7 @@ pub(crate) fn context<'a>(
         vpls: &state.photons.vpls,
         emitters: &state.emitters,
         vpl_maps: &state.vpl_maps,
+        near_lights: &state.near_lights,
         mirrored: settings.vpl.is_some_and(|v| v.mirrored > 0).then_some(&state.mirrored_emitters),
         grid: &state.grid,
         geometry_term_max: geometry_term_max(scene, settings),
@@ -246,7 +257,8 @@ fn pixels(state: &mut FrameState, level: SimdLevel, scene: &RenderScene, setting
     state.camera.build(level, scene, &state.accel, [settings.width, settings.height]);
     let setup = milliseconds(start);
     let start = Instant::now();
-    frame.stats.rays.camera += light_grid(state, level, scene, settings);
+    let rays = light_grid(state, level, scene, settings);
+    frame.stats.rays = frame.stats.rays.merged(rays);
     frame.stats.stages_ms.vpls += milliseconds(start);
     let start = Instant::now();
     let mut guides = std::mem::take(&mut state.guides);
@@ -333,8 +345,13 @@ fn pixels(state: &mut FrameState, level: SimdLevel, scene: &RenderScene, setting
     }
 }
 
-/// Evaluates all VPLs on a grid of the picture, where the settings want it; returns camera rays.
-fn light_grid(state: &mut FrameState, level: SimdLevel, scene: &RenderScene, settings: &RenderSettings) -> u64 {
+/// Evaluates all VPLs on a grid of the picture, where the settings want it.
+pub(crate) fn light_grid(
+    state: &mut FrameState,
+    level: SimdLevel,
+    scene: &RenderScene,
+    settings: &RenderSettings,
+) -> RayCounts {
     let mut grid = std::mem::take(&mut state.grid);
     let rays = grid.build(&context(state, level, scene, settings));
     state.grid = grid;

@@ -17,10 +17,11 @@ use std::time::Instant;
 use crate::{
     error::RenderError,
     frame::{
-        context, geometry_term_max, merge_non_finite, milliseconds, moments, shadow_plan, structures, virtual_lights,
+        context, geometry_term_max, light_grid, merge_non_finite, milliseconds, moments, shadow_plan, structures,
+        virtual_lights,
     },
     output::{Frame, FrameStats, Image, Layer, RayCounts, StageInterval, StageTimes},
-    raster::{GpuRaster, PhotonInputs, RasterInputs, TracedCounts},
+    raster::{GpuRaster, Indirect, PhotonInputs, RasterInputs, TracedCounts},
     renderer::FrameState,
     settings::{RasterLane, RenderSettings, Shadows, SimdLevel, Tracer, VplShadows},
     trace::{
@@ -29,7 +30,7 @@ use crate::{
         photons::LightPaths,
         whitted::{self, MaskedPixel},
     },
-    twin::{shadow::ShadowPlan, vpl_maps::VplMaps},
+    twin::{grid::spacing_of, shadow::ShadowPlan, vpl_maps::VplMaps},
 };
 
 /// A frame that is lit on the GPU and not traced yet.
@@ -299,12 +300,13 @@ fn light(
         stats.stages_ms.vpls = milliseconds(begin);
     } else {
         state.lit_on_gpu.forget();
-        clock.run("virtual lights", &mut told, || virtual_lights(state, scene, settings, stats));
+        clock.run("virtual lights", &mut told, || virtual_lights(state, level, scene, settings, stats));
     }
 
     // Where visibility is traced, the CPU finds it.
     let trace_lights = matches!(settings.shadows, Shadows::Traced | Shadows::Certified);
-    if settings.shadows == Shadows::Certified {
+    let near_field = settings.vpl.is_some_and(|v| v.near_field) && spacing_of(settings) > 1;
+    if settings.shadows == Shadows::Certified || near_field {
         clock.run("moments", &mut told, || moments(state, level, scene, settings, stats));
     }
     let too_many = state.photons.vpls.len() > gpu.most_vpl_maps() as usize;
@@ -325,16 +327,26 @@ fn light(
         });
     }
     let visibility = trace_lights.then_some(traced.visibility.as_slice());
-    let indirect = trace_vpls.then_some(traced.indirect.as_slice());
+    if near_field && !trace_vpls {
+        let rays = clock.run("light grid", &mut told, || light_grid(state, level, scene, settings));
+        stats.rays = stats.rays.merged(rays);
+    }
     let bound = geometry_term_max(scene, settings);
     let on_gpu = clock.run("send to tracer", &mut ms.transfer, || traces_on_gpu(state, gpu, wanted, bound, &paths))?;
     stats.tracer = if on_gpu { gpu.tracer() } else { Tracer::Cpu };
     if !on_gpu {
         if photons {
             state.lit_on_gpu.forget();
-            clock.run("virtual lights", &mut told, || virtual_lights(state, scene, settings, stats));
+            clock.run("virtual lights", &mut told, || virtual_lights(state, level, scene, settings, stats));
         }
         stats.tracer_fallback.clone_from(&state.tracer_fallback);
+    }
+    let indirect = match (trace_vpls, near_field) {
+        (true, _) => Indirect::Layer(&traced.indirect),
+        (false, true) => Indirect::Grid(state.grid.points()),
+        (false, false) => Indirect::Vpls,
+    };
+    if !on_gpu {
         clock.run("submit light", &mut ms.transfer, || gpu.light(&state.photons.vpls, bound, visibility, indirect))?;
         settle(gpu, clock)?;
         return Ok(false);
@@ -389,7 +401,9 @@ fn traces_on_gpu(
 /// True where VPLs are made on the GPU: where nothing on the CPU looks at them, as their shadow maps and rays to them do, and
 /// mirrors are lit by the same ones.
 fn photons_on_gpu(gpu: &GpuRaster, settings: &RenderSettings) -> bool {
-    let alone = settings.vpl.is_some_and(|v| v.shadows == VplShadows::Off && v.mirrored == 0);
+    let alone = settings
+        .vpl
+        .is_some_and(|v| v.shadows == VplShadows::Off && v.mirrored == 0 && v.candidates == 1 && !v.near_field);
     settings.traced && gpu.has_photons() && alone
 }
 

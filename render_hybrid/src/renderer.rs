@@ -16,6 +16,7 @@ use crate::{
     still::LitBy,
     trace::{
         explain::RayTree,
+        near::NearLights,
         photons::Photons,
         points::Emitter,
         reference::{ReferenceAccumulator, ReferenceOptions},
@@ -79,6 +80,8 @@ pub(crate) struct FrameState {
     pub emitters: Vec<Emitter>,
     /// A smaller set for mirrors and glass.
     pub mirrored: Photons,
+    /// What lights that which stands close to a place of the grid.
+    pub near_lights: NearLights,
     pub mirrored_emitters: Vec<Emitter>,
     pub grid: IrradianceGrid,
     pub vpl_maps: VplMaps,
@@ -145,6 +148,7 @@ impl Renderer {
             photons: Photons::default(),
             emitters: Vec::new(),
             mirrored: Photons::default(),
+            near_lights: NearLights::default(),
             mirrored_emitters: Vec::new(),
             grid: IrradianceGrid::default(),
             vpl_maps: VplMaps::default(),

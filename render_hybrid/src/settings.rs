@@ -148,6 +148,10 @@ impl Default for MomentOptions {
 pub struct VplOptions {
     /// Number of VPLs of all bounces together. Cost is linear in it; error falls with it.
     pub count: u32,
+    /// Candidates for each VPL, 1 to 64: those that give most to the picture are kept ([`Self::count`] of them). Higher: less
+    /// error, most where lights shine on much that is not seen; 2 to 3 rays a candidate, and VPLs are made anew where the
+    /// camera moves. 1: all are kept, whatever the camera sees.
+    pub candidates: u32,
     /// Diffuse reflections before the last one to the camera path, ≥ 1.
     pub bounces: u32,
     /// Upper bound of cos·cos/d² in 1/m², as a multiple of 1/(scene's bounding radius)²; `None`: no bound (unbiased, with
@@ -166,6 +170,9 @@ pub struct VplOptions {
     /// surfaces: 1 (every pixel), 2, 4, 8 or 16. Higher: 1/n² of the cost, shadows of VPLs soft to n pixels. Less where it
     /// would leave fewer than 64 places along the shorter side. Not where visibility is traced or VPLs are interleaved.
     pub spacing: u32,
+    /// 64 rays from each place of the grid find what stands close to it: the light that [`Self::geometry_term_max`] cuts off,
+    /// and occluders too close for the VPLs' maps. No effect where there is no grid or a cap on rays. On the CPU in both lanes.
+    pub near_field: bool,
     /// VPLs, without visibility, that light what mirrors and glass show, a set of their own; 0: the same as what is seen
     /// directly. Cost is linear in it, for each hit. With [`Self::spacing`] they also light pixels that the grid cannot tell.
     pub mirrored: u32,
@@ -175,12 +182,14 @@ impl Default for VplOptions {
     fn default() -> Self {
         Self {
             count: 256,
+            candidates: 1,
             bounces: 2,
             geometry_term_max: Some(100.0),
             shadows: VplShadows::Maps,
             map_size: 32,
             interleave: 1,
             spacing: 1,
+            near_field: false,
             mirrored: 0,
         }
     }
@@ -282,7 +291,8 @@ impl RenderSettings {
             // against the reference (docs/light.md).
             Preset::Interactive => Self {
                 vpl: Some(VplOptions {
-                    geometry_term_max: Some(20.0),
+                    count: 512,
+                    geometry_term_max: Some(40.0),
                     map_size: 16,
                     spacing: 16,
                     mirrored: 64,
@@ -295,9 +305,12 @@ impl RenderSettings {
                 shadows: Shadows::Certified,
                 vpl: Some(VplOptions {
                     count: 4096,
+                    candidates: 4,
                     bounces: 3,
                     geometry_term_max: Some(400.0),
+                    map_size: 64,
                     spacing: 4,
+                    near_field: true,
                     ..VplOptions::default()
                 }),
                 max_depth: 16,
@@ -332,6 +345,9 @@ impl RenderSettings {
             return Some("min_variance must be over 0 and light_bleed_reduction in [0, 1)".into());
         }
         if let Some(v) = self.vpl {
+            if !(1..=64).contains(&v.candidates) {
+                return Some(format!("{} candidates for a VPL: 1 to 64", v.candidates));
+            }
             if v.count == 0 || v.count > 1 << 20 || v.bounces == 0 || v.bounces > 64 || v.bounces > v.count {
                 return Some(format!(
                     "{} VPLs over {} bounces: 1 to 1048576 VPLs, 1 to 64 bounces",

@@ -1,7 +1,7 @@
 //! What did not change since the frame before is not made again. Everything that a stage reads is compared, so that a kept
 //! result is the one that would be made.
 
-use catoptra_engine::{Aabb, Light, Material, Mesh, RenderScene, Texture};
+use catoptra_engine::{Aabb, Camera, Light, Material, Mesh, RenderScene, Texture};
 use glam::{Affine3, Vec3};
 use std::sync::Arc;
 
@@ -16,6 +16,8 @@ use crate::{
 pub(crate) struct LitBy {
     known: bool,
     options: Option<(VplOptions, GlassShadows, u32)>,
+    /// Camera and size of the picture where VPLs were chosen by what it shows.
+    view: Option<(Camera, [u32; 2])>,
     lights: Vec<Light>,
     /// Transform, mesh and material by instance.
     instances: Vec<(Affine3, u32, u32)>,
@@ -29,9 +31,12 @@ impl LitBy {
     /// True where nothing has changed; remembers the scene.
     pub fn update(&mut self, scene: &RenderScene, settings: &RenderSettings) -> bool {
         let options = settings.vpl.map(|v| (v, settings.glass_shadows, settings.seed));
+        let chosen = settings.vpl.is_some_and(|v| v.candidates > 1);
+        let view = chosen.then_some((scene.camera, [settings.width, settings.height]));
         let instances = || scene.instances.iter().map(|i| (i.world_from_object, i.mesh, i.material));
         let same = self.known
             && self.options == options
+            && self.view == view
             && self.lights == scene.lights
             && self.instances.iter().copied().eq(instances())
             && self.materials == scene.materials
@@ -40,6 +45,7 @@ impl LitBy {
         if !same {
             self.known = true;
             self.options = options;
+            self.view = view;
             self.lights.clone_from(&scene.lights);
             self.instances.clear();
             self.instances.extend(instances());

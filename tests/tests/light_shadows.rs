@@ -165,3 +165,54 @@ fn a_static_shot_does_not_flicker() {
     renderer.render(&other, &settings).unwrap();
     assert_eq!(renderer.render(&scene, &settings).unwrap().image, first);
 }
+
+/// Width in metres over which the floor's light goes from a tenth to nine tenths behind the edge of an occluder.
+fn penumbra_width(light_radius: f32, height: f32, settings: &RenderSettings) -> f64 {
+    // The camera looks from the side under the occluder, which covers x < 0; the light is at 4 m.
+    let half_height = 0.02;
+    let mut scene = HandScene::parallel(Vec3::new(0.0, 2.0, 5.0), Vec3::new(0.0, -2.0, -5.0), half_height);
+    let white = Material::lambert(Vec3::splat(0.8));
+    scene.add(slab(Vec3::new(6.0, 0.05, 6.0)), white, at(Vec3::NEG_Y * 0.05));
+    scene.add(slab(Vec3::new(1.0, 0.001, 0.3)), white, at(Vec3::new(-1.0, height, 0.0)));
+    let light = scene.light(LightKind::Spot { cos_inner: 0.85, cos_outer: 0.75 }, Vec3::Y * 4.0, Vec3::splat(40.0));
+    light.radius = light_radius;
+    let lit = RenderSettings { shadows: Shadows::Off, ..*settings };
+    let (shadowed, lit) = (scene.render(settings).image, scene.render(&lit).image);
+    // The mean of the rows: what light is left, column by column.
+    let (width, rows) = (settings.width as usize, settings.height as usize);
+    let share: Vec<f64> = (0..width)
+        .map(|x| {
+            let sum = |i: &Image| (0..rows).map(|y| f64::from(i.pixels[y * width + x][1])).sum::<f64>();
+            sum(&shadowed) / sum(&lit)
+        })
+        .collect();
+    let crossing = |level: f64| {
+        let after = share.iter().position(|s| *s >= level).expect("the picture shows the whole penumbra");
+        assert!(after > 0, "the picture begins in the umbra");
+        after as f64 - (share[after] - level) / (share[after] - share[after - 1])
+    };
+    let metres_a_pixel = 2.0 * f64::from(half_height) / f64::from(settings.height);
+    (crossing(0.9) - crossing(0.1)) * metres_a_pixel
+}
+
+/// A disc of radius r at height D over an edge at height h: the share of the disc that is seen goes from 0 to 1 while the
+/// point moves by 2 r h/(D - h); from a tenth to nine tenths it takes 0.6870 of that (the disc's area, not its diameter).
+#[test]
+fn penumbrae_are_as_wide_as_the_light_makes_them() {
+    let (radius, light) = (0.25f64, 4.0f64);
+    for height in [0.2f64, 0.5, 1.0] {
+        let truth = 0.6870 * 2.0 * radius * height / (light - height);
+        let width = |shadows, shadow_samples| {
+            let settings = RenderSettings { shadows, shadow_samples, vpl: None, ..small(512, 64, 1024) };
+            penumbra_width(radius as f32, height as f32, &settings) / truth
+        };
+        let (traced, certified, moments) =
+            (width(Shadows::Traced, 16), width(Shadows::Certified, 16), width(Shadows::Moments, 16));
+        println!(
+            "occluder at {height} m: {truth:.4} m; traced {traced:.3}, certified {certified:.3}, moments {moments:.3}"
+        );
+        for (what, share) in [("traced", traced), ("certified", certified)] {
+            assert!((share - 1.0).abs() < 0.25, "{what}, {height} m: {share} of the true width");
+        }
+    }
+}

@@ -199,12 +199,18 @@ pub struct PictureArgs {
     /// Texels a side of a virtual point light's shadow map: 16, 32 or 64
     #[arg(long, value_name = "N")]
     pub vpl_map_size: Option<u32>,
+    /// Candidates for each virtual point light: those that give most to the picture are kept; 1: all
+    #[arg(long, value_name = "N")]
+    pub vpl_candidates: Option<u32>,
     /// Side of the blocks of pixels over which virtual point lights are interleaved: 1 (none), 2 or 4; CPU lane
     #[arg(long, value_name = "N")]
     pub vpl_interleave: Option<u32>,
     /// Pixels between the places where virtual point lights are evaluated: 1 (each pixel), 2, 4, 8 or 16
     #[arg(long, value_name = "N")]
     pub vpl_spacing: Option<u32>,
+    /// Rays from the places where virtual point lights are evaluated find light and occluders close by
+    #[arg(long, value_name = "on|off", value_parser = parse_switch)]
+    pub vpl_near_field: Option<bool>,
     /// Virtual point lights, without shadows, that light what mirrors and glass show; 0: the same as elsewhere
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1 << 20))]
     pub mirror_vpls: Option<u32>,
@@ -257,6 +263,14 @@ fn parse_bound(text: &str) -> Result<Bound, String> {
     match text.parse::<f32>() {
         Ok(x) if x > 0.0 && x.is_finite() => Ok(Bound(Some(x))),
         _ => Err("it must be `off` or a number over 0".into()),
+    }
+}
+
+fn parse_switch(text: &str) -> Result<bool, String> {
+    match text {
+        "on" => Ok(true),
+        "off" => Ok(false),
+        _ => Err("it must be `on` or `off`".into()),
     }
 }
 
@@ -325,6 +339,8 @@ impl PictureArgs {
         if let Some(Bound(bound)) = self.vpl_bound {
             v.geometry_term_max = bound;
         }
+        v.near_field = self.vpl_near_field.unwrap_or(v.near_field);
+        v.candidates = self.vpl_candidates.unwrap_or(v.candidates);
         v.interleave = self.vpl_interleave.unwrap_or(v.interleave);
         v.spacing = self.vpl_spacing.unwrap_or(v.spacing);
         v.mirrored = self.mirror_vpls.unwrap_or(v.mirrored);

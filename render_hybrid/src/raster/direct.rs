@@ -121,17 +121,24 @@ impl DirectPass {
 
 /// Writes one whole layer of a texture.
 pub(crate) fn write_texture(gpu: &Gpu, texture: &wgpu::Texture, layer: u32, bytes: &[u8], texel_bytes: u32) {
-    write_part(gpu, texture, [0, layer], texture.height(), bytes, texel_bytes);
+    write_part(gpu, texture, [0, layer], [texture.width(), texture.height()], bytes, texel_bytes);
 }
 
 /// Writes whole rows of a texture from row `first` on, as many as the bytes fill.
 pub(crate) fn write_rows(gpu: &Gpu, texture: &wgpu::Texture, first: u32, bytes: &[u8], texel_bytes: u32) {
     let rows = bytes.len() as u32 / (texture.width() * texel_bytes);
-    write_part(gpu, texture, [first, 0], rows, bytes, texel_bytes);
+    write_part(gpu, texture, [first, 0], [texture.width(), rows], bytes, texel_bytes);
 }
 
-fn write_part(gpu: &Gpu, texture: &wgpu::Texture, [y, z]: [u32; 2], height: u32, bytes: &[u8], texel_bytes: u32) {
-    let width = texture.width();
+/// Writes a layer's texels (0, y) to (width, y + height).
+pub(crate) fn write_part(
+    gpu: &Gpu,
+    texture: &wgpu::Texture,
+    [y, z]: [u32; 2],
+    [width, height]: [u32; 2],
+    bytes: &[u8],
+    texel_bytes: u32,
+) {
     gpu.queue.write_texture(
         wgpu::TexelCopyTextureInfo {
             texture,

@@ -2,6 +2,7 @@
 
 use super::{
     device::Gpu,
+    direct::write_part,
     indirect::IndirectPass,
     layouts::GridUniform,
     pipeline::{Slot, compute_pipeline, group, group_layout, pipeline_layout, uniform},
@@ -9,7 +10,10 @@ use super::{
     shader,
     targets::{PictureTargets, RADIANCE_FORMAT, Target},
 };
-use crate::{error::RenderError, twin::grid::grid_size};
+use crate::{
+    error::RenderError,
+    twin::grid::{GridPoint, grid_size},
+};
 
 /// Layers of the grid's texture: red, green and blue with the normal, and the place.
 const LAYERS: u32 = 4;
@@ -20,6 +24,8 @@ pub(crate) struct GridPass {
     layout: wgpu::BindGroupLayout,
     uniform: wgpu::Buffer,
     shape: Option<GridUniform>,
+    /// The points came from the CPU.
+    loaded: bool,
     /// Two, because chunks of VPLs are added to what earlier chunks left; the result is in the first. At least as large as the
     /// grid.
     targets: [Target; 2],
@@ -45,12 +51,14 @@ impl GridPass {
             layout,
             uniform: uniform(gpu, "light_grid.uniform", size_of::<GridUniform>() as u64),
             shape: None,
+            loaded: false,
             targets: Self::make_targets(gpu, [1, 1])?,
         })
     }
 
     fn make_targets(gpu: &Gpu, [width, height]: [u32; 2]) -> Result<[Target; 2], RenderError> {
-        let usage = wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::STORAGE_BINDING;
+        let usage =
+            wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::STORAGE_BINDING | wgpu::TextureUsages::COPY_DST;
         let target = |label| Target::new(gpu, label, [width, height, LAYERS], RADIANCE_FORMAT, usage, true);
         Ok([target("light_grid.points")?, target("light_grid.previous")?])
     }
@@ -58,6 +66,7 @@ impl GridPass {
     /// Pixels from place to place in the next frame; 1: there is no grid. True where the textures were replaced, so that what
     /// binds them must do so again.
     pub fn set(&mut self, gpu: &Gpu, picture: &PictureTargets, spacing: u32) -> Result<bool, RenderError> {
+        self.loaded = false;
         let size = if spacing > 1 { grid_size([picture.width, picture.height], spacing) } else { [1, 1] };
         let shape = GridUniform { size, spacing, unused: 0 };
         if self.shape != Some(shape) {
@@ -70,6 +79,21 @@ impl GridPass {
             self.targets = Self::make_targets(gpu, size)?;
         }
         Ok(replaced)
+    }
+
+    /// Takes the points from the CPU for the next frame, row by row, in place of a pass over the places. After [`Self::set`].
+    pub fn load(&mut self, gpu: &Gpu, points: &[GridPoint]) {
+        let Some(shape) = self.shape else { return };
+        assert_eq!(points.len(), (shape.size[0] * shape.size[1]) as usize, "a point a place");
+        for layer in 0..LAYERS {
+            let word = |p: &GridPoint| match p.arriving.get(layer as usize) {
+                Some(arriving) => arriving.extend(p.normal[layer as usize]),
+                None => p.position_world.extend(0.0),
+            };
+            let words: Vec<[f32; 4]> = points.iter().map(|p| word(p).to_array()).collect();
+            write_part(gpu, &self.targets[0].texture, [0, layer], shape.size, bytemuck::cast_slice(&words), 16);
+        }
+        self.loaded = true;
     }
 
     /// False where pixels are lit one by one.
@@ -108,7 +132,7 @@ impl GridPass {
         chunks: u32,
         stride: u64,
     ) {
-        let Some(shape) = self.shape else { return };
+        let Some(shape) = self.shape.filter(|_| !self.loaded) else { return };
         for i in 0..chunks {
             // The last chunk ends in the first target.
             let into = ((chunks - 1 - i) % 2) as usize;

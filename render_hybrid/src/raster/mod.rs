@@ -41,7 +41,12 @@ use crate::{
     error::RenderError,
     output::StageInterval,
     settings::{GlassShadows, RenderSettings, Shadows},
-    twin::{grid, shadow::ShadowPlan, vpl::Vpl, vpl_maps::VplMaps},
+    twin::{
+        grid::{self, GridPoint},
+        shadow::ShadowPlan,
+        vpl::Vpl,
+        vpl_maps::VplMaps,
+    },
 };
 use device::Gpu;
 use readback::{Mailbox, Readback};
@@ -50,6 +55,17 @@ use targets::{PictureTargets, ShadowTargets};
 use timer::StageTimer;
 use tracer::{GpuTracer, TraceInputs};
 pub(crate) use tracer::{PhotonInputs, TracedCounts};
+
+/// Where indirect light comes from.
+#[derive(Clone, Copy, Debug)]
+pub enum Indirect<'a> {
+    /// The VPLs: on the grid where the settings want one, else at each pixel.
+    Vpls,
+    /// The VPLs, with the grid's points made by the CPU, row by row ([`grid::grid_size`]).
+    Grid(&'a [GridPoint]),
+    /// A ready layer of linear radiance, one a pixel.
+    Layer(&'a [[f32; 3]]),
+}
 
 /// Bindings that last as long as the textures and buffers behind them.
 struct Bindings {
@@ -504,7 +520,7 @@ impl GpuRaster {
     /// Submits direct and indirect light.
     /// * `geometry_term_max`: bound of cos·cos/d² in 1/m²; +infinity: none
     /// * `light_visibility`: one value a pixel for each light, in [0, 1], in place of moments
-    /// * `indirect`: a ready layer of linear radiance in place of the VPLs
+    /// * `indirect`: what is there beside the VPLs
     ///
     /// # Errors
     /// [`RenderError::Settings`] where a given layer has not the picture's size; [`RenderError::Gpu`].
@@ -513,7 +529,7 @@ impl GpuRaster {
         vpls: &[Vpl],
         geometry_term_max: f32,
         light_visibility: Option<&[Vec<f32>]>,
-        indirect: Option<&[[f32; 3]]>,
+        indirect: Indirect,
     ) -> Result<(), RenderError> {
         self.record_light(vpls, geometry_term_max, light_visibility, indirect)?;
         self.step(|s| s.submit().map(|_| ()))
@@ -525,7 +541,7 @@ impl GpuRaster {
         vpls: &[Vpl],
         geometry_term_max: f32,
         light_visibility: Option<&[Vec<f32>]>,
-        indirect: Option<&[[f32; 3]]>,
+        indirect: Indirect,
     ) -> Result<(), RenderError> {
         let frame = self.begun()?;
         self.step(|s| s.light_inner(frame, vpls, geometry_term_max, light_visibility, indirect))
@@ -537,7 +553,7 @@ impl GpuRaster {
         vpls: &[Vpl],
         geometry_term_max: f32,
         light_visibility: Option<&[Vec<f32>]>,
-        indirect: Option<&[[f32; 3]]>,
+        indirect: Indirect,
     ) -> Result<(), RenderError> {
         let gpu = &self.gpu;
         if let Some(planes) = light_visibility {
@@ -549,9 +565,10 @@ impl GpuRaster {
         let shadows = if frame.moments { Shadows::Moments } else { Shadows::Off };
         self.direct.set_options(gpu, shadows, light_visibility.is_some(), &frame.settings.moments);
         let (mut chunks, mut emptied) = (indirect::VplChunks::default(), false);
+        let ready = matches!(indirect, Indirect::Layer(_));
         match indirect {
-            Some(layer) => self.indirect.upload_layer(gpu, &self.picture, layer)?,
-            None => {
+            Indirect::Layer(layer) => self.indirect.upload_layer(gpu, &self.picture, layer)?,
+            Indirect::Vpls | Indirect::Grid(_) => {
                 let remade = self.light_grid.set(gpu, &self.picture, grid::spacing_of(&frame.settings))?;
                 let made = self.tracer.as_ref().filter(|_| vpls.is_empty()).and_then(GpuTracer::made_vpls);
                 let (count, replaced) = match made {
@@ -562,20 +579,21 @@ impl GpuRaster {
                 if remade || replaced {
                     self.bind_indirect();
                 }
+                if let (Indirect::Grid(points), true) = (indirect, self.light_grid.is_on()) {
+                    self.light_grid.load(&self.gpu, points);
+                }
             }
         }
 
         let Self { gpu, open, scene, direct, light_grid, indirect: indirect_pass, picture, timer, tracer, .. } = self;
         let Some(bindings) = &self.bindings else { unreachable!("a frame was begun") };
         let encoder = open.get_or_insert_with(|| gpu.encoder("frame"));
-        if let Some(tracer) =
-            tracer.as_mut().filter(|t| indirect.is_none() && vpls.is_empty() && t.made_vpls().is_some())
-        {
+        if let Some(tracer) = tracer.as_mut().filter(|t| !ready && vpls.is_empty() && t.made_vpls().is_some()) {
             let (chunks, stride) = indirect_pass.chunks();
             timer.stage(gpu, encoder, "photons", |encoder| tracer.record_photons(encoder, chunks, stride, emptied))?;
         }
         timer.stage(gpu, encoder, "direct", |encoder| direct.record(encoder, scene, &bindings.direct, picture))?;
-        if indirect.is_none() {
+        if !ready {
             timer.stage(gpu, encoder, "indirect", |encoder| {
                 if light_grid.is_on() {
                     let stride = indirect_pass.chunks().1;

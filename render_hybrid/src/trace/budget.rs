@@ -37,17 +37,17 @@ const LEAST_VPLS: u32 = 16;
 /// Normals whose cosine is less see something else.
 const LEAST_COSINE: f32 = 0.9;
 
-/// The settings with as many VPLs as the cap allows. It depends on the settings alone, so that light does not jump from frame
+/// The settings with as many VPLs as the cap allows, and without the rays around the grid's places. It depends on the settings alone, so that light does not jump from frame
 /// to frame.
 pub fn within_budget(settings: &RenderSettings) -> RenderSettings {
-    let fewer = |budget, vpl: VplOptions| VplOptions { count: vpls_within(budget, &vpl), ..vpl };
+    let fewer = |budget, vpl: VplOptions| VplOptions { count: vpls_within(budget, &vpl), near_field: false, ..vpl };
     let vpl = settings.ray_budget.map_or(settings.vpl, |budget| settings.vpl.map(|v| fewer(budget, v)));
     RenderSettings { vpl, ..*settings }
 }
 
 fn vpls_within(budget: u64, vpl: &VplOptions) -> u32 {
     let map = if vpl.shadows == VplShadows::Maps { u64::from(vpl.map_size).pow(2) } else { 0 };
-    let each = u64::from(vpl.bounces) + 1 + map;
+    let each = (u64::from(vpl.bounces) + 1) * u64::from(vpl.candidates) + map;
     let affordable = (budget / VPL_PART / each).min(u64::from(vpl.count)) as u32;
     // Whole subsets, where they are interleaved.
     let subset = vpl.interleave.max(1).pow(2);

@@ -2,12 +2,14 @@
 
 pub mod budget;
 pub mod camera_rays;
+pub(crate) mod choice;
 pub mod direct;
 pub mod emission;
 pub mod explain;
 pub(crate) mod facet;
 pub mod media;
 pub(crate) mod meet;
+pub(crate) mod near;
 pub mod optics;
 pub mod photons;
 pub mod points;

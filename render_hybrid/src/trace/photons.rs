@@ -9,6 +9,7 @@ use glam::{Vec2, Vec3};
 use rayon::prelude::*;
 
 use super::{
+    choice::{Choice, View},
     emission::{self, EmissiveTriangle, PathShares, SourceFrame},
     sampling,
     surface::{NormalMatrices, Surface, surface_at},
@@ -42,6 +43,7 @@ pub struct Photons {
     shares: PathShares,
     paths: Vec<Path>,
     slots: Vec<Vpl>,
+    choice: Choice,
     /// VPLs with flux, in the order of paths.
     pub vpls: Vec<Vpl>,
     /// Rays traced.
@@ -89,8 +91,8 @@ struct Path {
 }
 
 impl Photons {
-    /// Traces all light paths; afterwards `vpls` holds at most `options.count` VPLs (a source beyond that number still
-    /// gets one path).
+    /// Traces all light paths; afterwards `vpls` holds at most `options.count` · `options.candidates` VPLs (a source beyond
+    /// that number still gets one path).
     pub fn trace(
         &mut self,
         scene: &RenderScene,
@@ -115,6 +117,13 @@ impl Photons {
             .zip(paths)
             .map(|(slots, path)| tracer.trace(*path, slots))
             .sum();
+        self.vpls.extend(self.slots.iter().filter(|v| v.flux != Vec3::ZERO));
+    }
+
+    /// Keeps the `wanted` VPLs of those just traced that give most to the picture.
+    pub(crate) fn choose(&mut self, wanted: u32, view: &View) {
+        self.rays += self.choice.keep(&mut self.slots, wanted as usize, view);
+        self.vpls.clear();
         self.vpls.extend(self.slots.iter().filter(|v| v.flux != Vec3::ZERO));
     }
 
@@ -153,7 +162,7 @@ impl Photons {
         // A path of a light makes up to `bounces` VPLs, one of an emissive surface one more, for its start.
         let bounces = options.bounces;
         let slots_a_path = if self.emissive.is_empty() { bounces } else { bounces + 1 } as usize;
-        let paths = (options.count / slots_a_path as u32).max(1);
+        let paths = (options.count * options.candidates / slots_a_path as u32).max(1);
         self.shares.update(scene, &self.emissive, bounds, paths);
         for (source, &of) in self.shares.shares.iter().enumerate() {
             self.paths.extend((0..of).map(|index| Path { source: source as u32, index, of }));

@@ -2,7 +2,11 @@
 
 use glam::{Vec2, Vec3};
 
-use super::{meet::SurfaceLanes, surface::RayStart};
+use super::{
+    meet::SurfaceLanes,
+    near::{NearRun, near_visibility},
+    surface::RayStart,
+};
 use crate::{
     accel::Ray,
     simd::dispatch,
@@ -519,6 +523,7 @@ fn directional_run<const SIZE: usize, const AREA: usize>(
     vpls: &[Vpl],
     maps: &[[f32; AREA]],
     geometry_term_max: f32,
+    near: Option<&NearRun>,
 ) -> [Lane; 9] {
     let mut sum = [[0.0f32; LANES]; 9];
     for (i, vpl) in vpls.iter().enumerate() {
@@ -543,6 +548,13 @@ fn directional_run<const SIZE: usize, const AREA: usize>(
                 weight[lane] *= seen[lane];
             }
         }
+        if let Some(near) = near {
+            let to: [Lane; 3] = [0, 1, 2].map(|axis| p[axis].map(|x| y[axis] - x));
+            let seen = near_visibility(near, n, &to, vpl.normal_world);
+            for lane in 0..LANES {
+                weight[lane] *= seen[lane];
+            }
+        }
         let flux = vpl.flux * FRAC_1_PI;
         for lane in 0..LANES {
             let (x, y, z) = (y.x - p[0][lane], y.y - p[1][lane], y.z - p[2][lane]);
@@ -563,6 +575,7 @@ fn directional<const SIZE: usize, const AREA: usize>(
     vpls: &[Vpl],
     maps: &[f32],
     geometry_term_max: f32,
+    near: &[NearRun],
     out: &mut [[Lane; 9]],
 ) {
     let (maps, _) = maps.as_chunks::<AREA>();
@@ -571,7 +584,7 @@ fn directional<const SIZE: usize, const AREA: usize>(
         let at = run * LANES;
         if any_matte(points, at) {
             let (p, n) = (lanes(&points.position, at), lanes(&points.normal, at));
-            *out = directional_run::<SIZE, AREA>(&p, &n, vpls, maps, geometry_term_max);
+            *out = directional_run::<SIZE, AREA>(&p, &n, vpls, maps, geometry_term_max, near.get(run));
         }
     }
 }
@@ -583,13 +596,14 @@ fn directional_body(
     size: u32,
     maps: &[f32],
     geometry_term_max: f32,
+    near: &[NearRun],
     out: &mut [[Lane; 9]],
 ) {
     match size {
-        0 => directional::<0, 1>(points, vpls, &[], geometry_term_max, out),
-        16 => directional::<16, 256>(points, vpls, maps, geometry_term_max, out),
-        32 => directional::<32, 1024>(points, vpls, maps, geometry_term_max, out),
-        64 => directional::<64, 4096>(points, vpls, maps, geometry_term_max, out),
+        0 => directional::<0, 1>(points, vpls, &[], geometry_term_max, near, out),
+        16 => directional::<16, 256>(points, vpls, maps, geometry_term_max, near, out),
+        32 => directional::<32, 1024>(points, vpls, maps, geometry_term_max, near, out),
+        64 => directional::<64, 4096>(points, vpls, maps, geometry_term_max, near, out),
         other => unreachable!("settings allow no VPL maps of {other} texels"),
     }
 }
@@ -597,13 +611,15 @@ fn directional_body(
 dispatch! {
     /// The irradiance of each run of points by all VPLs as vectors (red x, y, z, green .., blue ..), W/m²: its dot product with
     /// the normal is what [`accumulate_vpls`] or [`accumulate_shadowed_vpls`] sums. Points without a matte share are left out.
-    /// * `size`: texels a side of a map, 0: no maps; `out`: one a run of sixteen points, zero at first
-    pub fn accumulate_directional => directional_body(
+    /// * `size`: texels a side of a map, 0: no maps; `near`: what stands close, one a run, or none; `out`: one a run of sixteen
+    ///   points, zero at first
+    pub(crate) fn accumulate_directional => directional_body(
         points: &PointBatch,
         vpls: &[Vpl],
         size: u32,
         maps: &[f32],
         geometry_term_max: f32,
+        near: &[NearRun],
         out: &mut [[Lane; 9]],
     )
 }
@@ -660,7 +676,7 @@ mod tests {
                 let maps = VplMaps::of_texels(size, texels);
                 accumulate_shadowed_vpls(level, &mut batch, &vpls, maps.size, &maps.texels, 3.0);
                 let mut arriving = vec![[[0.0; LANES]; 9]; points.len().div_ceil(LANES)];
-                accumulate_directional(level, &batch, &vpls, maps.size, &maps.texels, 3.0, &mut arriving);
+                accumulate_directional(level, &batch, &vpls, maps.size, &maps.texels, 3.0, &[], &mut arriving);
                 for (i, (_, n)) in points.iter().enumerate() {
                     let of = |k: usize| arriving[i / LANES][k][i % LANES];
                     let toward = [0, 3, 6].map(|k| n.dot(Vec3::new(of(k), of(k + 1), of(k + 2))));

@@ -6,6 +6,7 @@ use glam::Vec3;
 use std::f32::consts::{FRAC_1_PI, TAU};
 
 use super::{
+    near::NearLights,
     points::{Emitter, PointBatch, accumulate_shadowed_vpls, accumulate_vpls},
     sampling,
     surface::{NormalMatrices, RayStart, Surface},
@@ -41,6 +42,8 @@ pub struct FrameContext<'a> {
     pub emitters: &'a [Emitter],
     /// Their shadow maps; empty unless their visibility comes from maps.
     pub vpl_maps: &'a VplMaps,
+    /// What lights that which stands close to a place of the grid.
+    pub(crate) near_lights: &'a NearLights,
     /// What lights the hits of mirrors and glass where that is a set of its own.
     pub mirrored: Option<&'a [Emitter]>,
     /// Indirect light on a grid of the picture; not built where pixels are lit one by one.

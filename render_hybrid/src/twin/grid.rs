@@ -19,10 +19,12 @@ use std::sync::Mutex;
 use super::gbuffer::point_of;
 use crate::{
     accel::{Hit, Ray},
+    output::RayCounts,
     settings::{RenderSettings, SimdLevel, VplOptions, VplShadows},
     simd::dispatch,
     trace::{
         camera_rays::camera_ray,
+        near::{NearPlace, NearScratch},
         points::{LANES, Lane, PointBatch, PointSurface, accumulate_directional, lane, lanes, make_room, store},
         shade::FrameContext,
         surface::{PixelCone, RayStart, surface_seen},
@@ -62,6 +64,9 @@ struct RowScratch {
     hits: Vec<Hit>,
     points: PointBatch,
     arriving: Vec<[Lane; 9]>,
+    places: Vec<NearPlace>,
+    close: Vec<[Vec3; 3]>,
+    near: NearScratch,
 }
 
 /// The grid of a frame.
@@ -75,12 +80,12 @@ pub struct IrradianceGrid {
 }
 
 impl IrradianceGrid {
-    /// Evaluates all VPLs at the grid's points; no grid where the settings want none. Returns the number of camera rays.
-    pub fn build(&mut self, ctx: &FrameContext) -> u64 {
+    /// Evaluates all VPLs at the grid's points; no grid where the settings want none. Returns the numbers of rays.
+    pub fn build(&mut self, ctx: &FrameContext) -> RayCounts {
         let spacing = spacing_of(ctx.settings);
         self.spacing = 0;
         if spacing <= 1 || ctx.vpls.is_empty() {
-            return 0;
+            return RayCounts::default();
         }
         let [columns, rows] = grid_size([ctx.settings.width, ctx.settings.height], spacing).map(|n| n as usize);
         self.columns = columns;
@@ -94,19 +99,29 @@ impl IrradianceGrid {
             make_room(&mut s.hits, columns);
             make_room(&mut s.arriving, columns.div_ceil(LANES));
             s.points.reserve([columns.next_multiple_of(LANES), 0]);
+            make_room(&mut s.places, columns);
+            make_room(&mut s.close, columns);
         }
-        self.points.par_chunks_mut(columns).enumerate().with_max_len(1).for_each(|(row, points)| {
+        let rows_of = self.points.par_chunks_mut(columns).enumerate().with_max_len(1);
+        let counts = rows_of.map(|(row, points)| {
             let own = rayon::current_thread_index().unwrap_or(0) % scratch.len();
             let mut s = scratch[own].lock().unwrap_or_else(std::sync::PoisonError::into_inner);
             fill_row(ctx, spacing, row as u32, points, &mut s);
+            s.near.counts
         });
+        let counts = counts.reduce(RayCounts::default, RayCounts::merged);
         self.spacing = spacing;
-        (self.columns * rows) as u64
+        RayCounts { camera: counts.camera + (self.columns * rows) as u64, ..counts }
     }
 
     /// Forgets the grid, keeps the memory.
     pub fn clear(&mut self) {
         self.spacing = 0;
+    }
+
+    /// The grid's points, row by row.
+    pub fn points(&self) -> &[GridPoint] {
+        &self.points
     }
 
     /// False where nothing was evaluated: pixels are lit one by one.
@@ -253,23 +268,38 @@ fn fill_row(ctx: &FrameContext, spacing: u32, row: u32, points: &mut [GridPoint]
     ctx.accel.closest_hits(&s.rays, &mut s.hits);
     let cone = PixelCone::of(camera, height);
     s.points.clear();
+    s.places.clear();
     for ((ray, hit), point) in s.rays.iter().zip(&s.hits).zip(points.iter_mut()) {
         let mut seen = PointSurface::default();
+        let mut start = RayStart::default();
         if hit.is_hit() {
-            seen = point_of(ctx, &surface_seen(ctx.scene, ctx.normals, ray, hit, cone.at(hit.t)));
+            let surface = surface_seen(ctx.scene, ctx.normals, ray, hit, cone.at(hit.t));
+            (seen, start) = (point_of(ctx, &surface), surface.ray_start());
         }
         let normal = if seen.matte > 0.0 { seen.normal } else { Vec3::ZERO };
         *point = GridPoint { position_world: seen.position_world, normal, ..GridPoint::default() };
         s.points.push(&seen, &RayStart::default());
+        let number = row * ctx.settings.width + s.places.len() as u32;
+        s.places.push(NearPlace { start, normal, number });
     }
     s.points.pad();
     s.arriving.clear();
     s.arriving.resize(points.len().div_ceil(LANES), [[0.0; LANES]; 9]);
+    s.close.clear();
+    s.close.resize(points.len(), [Vec3::ZERO; 3]);
+    s.near.counts = RayCounts::default();
+    let near_field = ctx.settings.vpl.is_some_and(|v| v.near_field);
+    if near_field {
+        s.near.look(ctx, &s.places, &mut s.close);
+    }
+    let near = if near_field { s.near.runs.as_slice() } else { &[] };
     let (size, maps) = (ctx.vpl_maps.size, &ctx.vpl_maps.texels);
-    accumulate_directional(ctx.level, &s.points, ctx.vpls, size, maps, ctx.geometry_term_max, &mut s.arriving);
+    let bound = ctx.geometry_term_max;
+    accumulate_directional(ctx.level, &s.points, ctx.vpls, size, maps, bound, near, &mut s.arriving);
     for (i, point) in points.iter_mut().enumerate() {
         let of = |k: usize| s.arriving[i / LANES][k][i % LANES];
-        point.arriving = [0, 3, 6].map(|k| Vec3::new(of(k), of(k + 1), of(k + 2)));
+        let far = [0, 3, 6].map(|k| Vec3::new(of(k), of(k + 1), of(k + 2)));
+        point.arriving = std::array::from_fn(|channel| far[channel] + s.close[i][channel]);
     }
 }
 
