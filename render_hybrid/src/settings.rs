@@ -248,10 +248,11 @@ impl Default for RenderSettings {
 pub enum Preset {
     /// 16 VPLs without shadows, depth 4: editing.
     Draft,
-    /// 256 VPLs with shadow maps on a grid of the picture, 64 without in mirrors, filtered shadows, depth 8: play.
+    /// 512 VPLs with shadow maps on a grid of the picture, 64 without in mirrors, filtered shadows, depth 8: play.
     #[default]
     Interactive,
-    /// 4,096 VPLs with shadow maps, certified soft shadows, depth 16: stills.
+    /// 4,096 VPLs of four times as many candidates, with shadow maps and the near field, certified soft shadows, depth 16:
+    /// stills.
     High,
 }
 
@@ -292,7 +293,7 @@ impl RenderSettings {
             Preset::Interactive => Self {
                 vpl: Some(VplOptions {
                     count: 512,
-                    geometry_term_max: Some(40.0),
+                    geometry_term_max: Some(30.0),
                     map_size: 16,
                     spacing: 16,
                     mirrored: 64,

@@ -1,5 +1,5 @@
 // Light of up to VPL_CHUNK virtual point lights at the places of the grid, added to that of earlier chunks.
-// Twin: twin/grid.rs, fill_row, and trace/points.rs, accumulate_directional.
+// Twin: twin/grid.rs, fill_rows, and trace/points.rs, accumulate_directional.
 #import shared/scene
 #import shared/look
 #import shared/octahedral
