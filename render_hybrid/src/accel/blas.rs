@@ -26,8 +26,11 @@ pub(crate) struct Blas {
 /// Against one visit of a wide node: see `CollapseCosts`.
 const COSTS: CollapseCosts = CollapseCosts { max_leaf: 8, leaf: 0.5, primitive: 0.05 };
 
-/// Share of nodes that are tried elsewhere in the tree in each round.
-const REINSERTION: f32 = 0.1;
+/// Share of nodes, those of the greatest boxes, that are tried elsewhere in the tree in each round.
+const REINSERTION: f32 = 0.01;
+
+/// Rounds of reinsertion: many over the top of the tree, which most rays see, rather than few over most of it.
+const ROUNDS: usize = 26;
 
 /// Coordinates beyond this overflow the builder's surface areas; such meshes get the median tree.
 const MAX_BUILDER_COORDINATE: f32 = 1e15;
@@ -56,7 +59,7 @@ impl Blas {
                 SortPrecision::U64,
                 3,
             );
-            ReinsertionOptimizer::default().run(&mut bvh2, REINSERTION, None);
+            ReinsertionOptimizer::default().run(&mut bvh2, REINSERTION, Some(vec![1.0; ROUNDS]));
             collapse(&bvh2.nodes, &bvh2.primitive_indices, COSTS)
         } else {
             None

@@ -32,6 +32,18 @@ pub(crate) struct RaySpace {
 }
 
 impl RaySpace {
+    /// No ray.
+    pub const VACANT: Self = Self {
+        origin: [0.0; 3],
+        shear: [0.0; 3],
+        k: [0, 1, 2],
+        inv: [0.0; 3],
+        near: [0.0; 3],
+        far: [0.0; 3],
+        near_plane: [0, 2, 4],
+        reach: 0.0,
+    };
+
     /// `extent`: greatest absolute coordinate of the boxes; `slack` ≥ 1 multiplies the padding.
     #[inline(always)]
     pub fn new(origin: [f32; 3], direction: [f32; 3], extent: f32, slack: f32) -> Self {

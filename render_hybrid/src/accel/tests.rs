@@ -279,6 +279,38 @@ fn soups_against_brute_force() {
     }
 }
 
+/// Batches whose neighbours are of one, a few or many kinds, in stretches of any length, with unusable rays in between.
+#[test]
+fn batches_of_few_kinds() {
+    let mut r = Random(11);
+    let meshes = vec![soup(&mut r, 300, 0.3), awkward(&mut r)];
+    let mut many = vec![(0, Affine3::IDENTITY), (1, Affine3::IDENTITY)];
+    for i in 0..20u32 {
+        many.push((i % 2, pose(&mut r, Vec3::new(0.5, -0.3, 0.8))));
+    }
+    for instances in [vec![(0, Affine3::IDENTITY)], vec![(0, pose(&mut r, Vec3::splat(0.7)))], many] {
+        let s = scene(meshes.clone(), instances);
+        let mut rays = Vec::new();
+        while rays.len() < 3000 {
+            let ways: Vec<Vec3> = (0..1 + r.below(8)).map(|_| r.direction()).collect();
+            for _ in 0..1 + r.below(90) {
+                let way = ways[r.below(ways.len() as u32) as usize];
+                let mut ray = Ray::new(r.vec() * 0.3 - way * 1.5, way + r.vec() * 0.05);
+                match r.below(60) {
+                    0 => ray.origin.x = f32::NAN,
+                    1 => ray.direction = Vec3::ZERO,
+                    2 => ray.direction *= 1e-12,
+                    3 => (ray.t_min, ray.t_max) = (1.0, 1.5),
+                    4 => (ray.t_min, ray.t_max) = (-2.0, -0.1),
+                    _ => {}
+                }
+                rays.push(ray);
+            }
+        }
+        agree(&s, &rays, false);
+    }
+}
+
 fn pose(r: &mut Random, scale: Vec3) -> Affine3 {
     let turn = Mat3::from_quat(Quat::from_xyzw(r.signed(), r.signed(), r.signed(), r.signed()).normalize());
     Affine3::from_mat3_translation(turn * Mat3::from_diagonal(scale), r.vec())

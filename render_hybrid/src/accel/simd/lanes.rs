@@ -45,6 +45,35 @@ pub(super) trait Level {
     /// Asks for a cache line that will be read soon.
     #[inline(always)]
     fn prefetch(_: *const u8) {}
+    /// Children with enter <= leave, each with its `enter`, the farthest first (within 1e-6 of each other in any order). Returns how
+    /// many; eight are written in any case.
+    ///
+    /// # Safety
+    /// The level's features, eight children, room for eight.
+    #[inline(always)]
+    unsafe fn push(enter: Self::W8, leave: Self::W8, child: *const u32, to_child: *mut u32, to_t: *mut f32) -> usize {
+        // SAFETY: by the contract.
+        unsafe {
+            let mut mask = enter.le(leave);
+            let mut t = [0.0f32; 8];
+            enter.store(t.as_mut_ptr());
+            let mut count = 0;
+            while mask != 0 {
+                let slot = mask.trailing_zeros() as usize;
+                mask &= mask - 1;
+                let mut i = count;
+                while i > 0 && *to_t.add(i - 1) < t[slot] {
+                    *to_t.add(i) = *to_t.add(i - 1);
+                    *to_child.add(i) = *to_child.add(i - 1);
+                    i -= 1;
+                }
+                *to_t.add(i) = t[slot];
+                *to_child.add(i) = *child.add(slot);
+                count += 1;
+            }
+            count
+        }
+    }
 }
 
 /// Arrays, which the compiler turns into whatever vectors the target guarantees.
@@ -181,5 +210,10 @@ impl<L: Level> Level for Half<L> {
     #[inline(always)]
     fn prefetch(p: *const u8) {
         L::prefetch(p);
+    }
+    #[inline(always)]
+    unsafe fn push(enter: Self::W8, leave: Self::W8, child: *const u32, to_child: *mut u32, to_t: *mut f32) -> usize {
+        // SAFETY: by the contract.
+        unsafe { L::push(enter, leave, child, to_child, to_t) }
     }
 }

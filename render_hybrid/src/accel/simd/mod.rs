@@ -4,8 +4,10 @@
 mod count;
 mod kd;
 mod lanes;
+mod many;
 mod packet;
 mod single;
+mod stream;
 #[cfg(target_arch = "x86_64")]
 mod x86;
 
@@ -57,7 +59,8 @@ fn supported() -> (bool, bool) {
         && is_x86_feature_detected!("fma")
         && is_x86_feature_detected!("bmi1")
         && is_x86_feature_detected!("bmi2")
-        && is_x86_feature_detected!("lzcnt");
+        && is_x86_feature_detected!("lzcnt")
+        && is_x86_feature_detected!("popcnt");
     let avx512 = avx2
         && is_x86_feature_detected!("avx512f")
         && is_x86_feature_detected!("avx512vl")
@@ -166,22 +169,27 @@ macro_rules! level {
                 unsafe { single::any::<$level>(world, ray) }
             }
             $(#[target_feature(enable = $features)])?
-            pub(super) unsafe fn closest16(world: &World, rays: &[Ray], hits: &mut [Hit]) -> u32 {
+            pub(super) unsafe fn stream(world: &World, rays: &[Ray], numbers: &[u32], hits: &mut [Hit]) {
+                // SAFETY: the caller has the features.
+                unsafe { stream::closest::<$level>(world, rays, numbers, hits) }
+            }
+            $(#[target_feature(enable = $features)])?
+            pub(super) unsafe fn closest16(world: &World, rays: &[Ray], hits: &mut [Hit]) -> bool {
                 // SAFETY: the caller has the features.
                 unsafe { packet::closest::<$level>(world, rays, hits) }
             }
             $(#[target_feature(enable = $features)])?
-            pub(super) unsafe fn closest8(world: &World, rays: &[Ray], hits: &mut [Hit]) -> u32 {
+            pub(super) unsafe fn closest8(world: &World, rays: &[Ray], hits: &mut [Hit]) -> bool {
                 // SAFETY: the caller has the features.
                 unsafe { packet::closest::<Half<$level>>(world, rays, hits) }
             }
             $(#[target_feature(enable = $features)])?
-            pub(super) unsafe fn any16(world: &World, rays: &[Ray], hits: &mut [bool]) -> u32 {
+            pub(super) unsafe fn any16(world: &World, rays: &[Ray], hits: &mut [bool]) -> bool {
                 // SAFETY: the caller has the features.
                 unsafe { packet::any::<$level>(world, rays, hits) }
             }
             $(#[target_feature(enable = $features)])?
-            pub(super) unsafe fn any8(world: &World, rays: &[Ray], hits: &mut [bool]) -> u32 {
+            pub(super) unsafe fn any8(world: &World, rays: &[Ray], hits: &mut [bool]) -> bool {
                 // SAFETY: the caller has the features.
                 unsafe { packet::any::<Half<$level>>(world, rays, hits) }
             }
@@ -192,9 +200,9 @@ macro_rules! level {
 level!(portable, Portable,);
 level!(counted, Counted,);
 #[cfg(target_arch = "x86_64")]
-level!(avx2, x86::Avx2, "avx2,fma,bmi1,bmi2,lzcnt");
+level!(avx2, x86::Avx2, "avx2,fma,bmi1,bmi2,lzcnt,popcnt");
 #[cfg(target_arch = "x86_64")]
-level!(avx512, x86::Avx512, "avx2,fma,bmi1,bmi2,lzcnt,avx512f,avx512vl,avx512dq");
+level!(avx512, x86::Avx512, "avx2,fma,bmi1,bmi2,lzcnt,popcnt,avx512f,avx512vl,avx512dq");
 
 macro_rules! dispatch {
     ($level:expr, $f:ident($($a:expr),*)) => {
@@ -210,6 +218,34 @@ macro_rules! dispatch {
             }
         }
     };
+}
+
+/// Closest hits of eight or sixteen rays that are alike; false where they are not, or one of them is unusable.
+#[inline(always)]
+fn closest_packet(level: Detected, world: &World, rays: &[Ray], hits: &mut [Hit]) -> bool {
+    if rays.len() == 8 {
+        dispatch!(level, closest8(world, rays, hits))
+    } else {
+        assert!(rays.len() == 16 && hits.len() == 16, "a packet of sixteen");
+        dispatch!(level, closest16(world, rays, hits))
+    }
+}
+
+/// As [`closest_packet`].
+#[inline(always)]
+fn any_packet(level: Detected, world: &World, rays: &[Ray], hits: &mut [bool]) -> bool {
+    if rays.len() == 8 {
+        dispatch!(level, any8(world, rays, hits))
+    } else {
+        assert!(rays.len() == 16 && hits.len() == 16, "a packet of sixteen");
+        dispatch!(level, any16(world, rays, hits))
+    }
+}
+
+/// Closest hits of usable rays of moderate direction, by their numbers.
+fn closest_side_by_side(level: Detected, world: &World, rays: &[Ray], numbers: &[u32], hits: &mut [Hit]) {
+    assert!(numbers.iter().all(|&n| (n as usize) < rays.len().min(hits.len())), "numbers of rays");
+    dispatch!(level, stream(world, rays, numbers, hits));
 }
 
 /// Closest hit of any ray.
@@ -228,66 +264,12 @@ pub(crate) fn any(level: Detected, world: &World, ray: &Ray) -> bool {
     hit
 }
 
-/// Fewer rays than this at the end of a slice go one by one.
-const WORTH: usize = 4;
-
-/// Closest hits of many rays; neighbours in the slice are taken together where that pays: sixteen at a time, what is left over
-/// as sixteen or eight of which some are there twice.
+/// Closest hits of many rays: see `many`.
 pub(crate) fn closest_many(level: Detected, world: &World, rays: &[Ray], hits: &mut [Hit]) {
-    let (packets, rest) = rays.as_chunks::<16>();
-    let (packet_hits, rest_hits) = hits.as_chunks_mut::<16>();
-    for (rays, hits) in packets.iter().zip(packet_hits) {
-        let done = dispatch!(level, closest16(world, rays, hits));
-        others(done, rays, hits, |ray| closest(level, world, ray));
-    }
-    let mut done = 0;
-    if rest.len() >= WORTH {
-        let mut found = [Hit::MISS; 16];
-        done = match filled(rest) {
-            (rays, true) => dispatch!(level, closest8(world, &rays[..8], &mut found[..8])),
-            (rays, false) => dispatch!(level, closest16(world, &rays, &mut found)),
-        };
-        rest_hits.copy_from_slice(&found[..rest.len()]);
-    }
-    others(done, rest, rest_hits, |ray| closest(level, world, ray));
-    level.tally(world);
+    many::all::<many::Closest>(level, world, rays, hits);
 }
 
-/// Any hits of many rays, as [`closest_many`].
+/// Any hits of many rays: see `many`.
 pub(crate) fn any_many(level: Detected, world: &World, rays: &[Ray], occluded: &mut [bool]) {
-    let (packets, rest) = rays.as_chunks::<16>();
-    let (packet_hits, rest_hits) = occluded.as_chunks_mut::<16>();
-    for (rays, hits) in packets.iter().zip(packet_hits) {
-        let done = dispatch!(level, any16(world, rays, hits));
-        others(done, rays, hits, |ray| any(level, world, ray));
-    }
-    let mut done = 0;
-    if rest.len() >= WORTH {
-        let mut found = [false; 16];
-        done = match filled(rest) {
-            (rays, true) => dispatch!(level, any8(world, &rays[..8], &mut found[..8])),
-            (rays, false) => dispatch!(level, any16(world, &rays, &mut found)),
-        };
-        rest_hits.copy_from_slice(&found[..rest.len()]);
-    }
-    others(done, rest, rest_hits, |ray| any(level, world, ray));
-    level.tally(world);
-}
-
-/// At most fifteen rays, the last one again and again to sixteen; true where eight are enough.
-fn filled(rest: &[Ray]) -> ([Ray; 16], bool) {
-    let mut rays = [rest[rest.len() - 1]; 16];
-    rays[..rest.len()].copy_from_slice(rest);
-    (rays, rest.len() <= 8)
-}
-
-/// Sets the hits of the lanes that are not done.
-#[inline(always)]
-fn others<T>(done: u32, rays: &[Ray], hits: &mut [T], one: impl Fn(&Ray) -> T) {
-    let mut left = !done & ((1 << rays.len()) - 1);
-    while left != 0 {
-        let lane = left.trailing_zeros() as usize;
-        left &= left - 1;
-        hits[lane] = one(&rays[lane]);
-    }
+    many::all::<many::Any>(level, world, rays, occluded);
 }

@@ -4,8 +4,8 @@
 //! Leaves, and all children where the packet is wide, are then tested ray by ray, sixteen lanes a child. At a leaf the
 //! cheaper of two orders is taken: all rays against one triangle after another, or one ray after another against all eight
 //! triangles. A subtree that only few rays reach is walked by each of them alone. Only rays that agree in the signs and the
-//! main axis of their directions go together, in the world and again in each instance's space; those that have nobody like
-//! them go alone. Each ray's hit is the same bits either way. A tree of one node, as the upper tree of a small scene is, goes
+//! main axis of their directions are a packet (`many` sees to it); where an instance's space turns them apart, they go on in
+//! groups that are alike there, and those that have nobody like them alone. Each ray's hit is the same bits either way. A tree of one node, as the upper tree of a small scene is, goes
 //! without intervals, and its children are visited by the middle of the way through them: a room that holds all else comes
 //! last, when most of it lies behind what was met.
 //!
@@ -164,13 +164,12 @@ fn few_of(kinds: &Kinds, mask: u32) -> u32 {
     if groups > LIKE { FEW_UNLIKE } else { FEW }
 }
 
-/// The level's number of rays, all usable and of moderate direction, and which of them went together with others that are
-/// alike. `None`: none of them.
+/// The level's number of rays; `None` where they are not all alike, usable and of moderate direction.
 ///
 /// # Safety
 /// The level's features.
 #[inline(always)]
-unsafe fn together<L: Level, const CLOSEST: bool>(world: &World, input: &[Ray]) -> Option<(Rays, u32)> {
+unsafe fn together<L: Level, const CLOSEST: bool>(world: &World, input: &[Ray]) -> Option<Rays> {
     // SAFETY: the world keeps the trees' invariants; features by the caller.
     unsafe {
         let mut rays = Rays {
@@ -209,54 +208,46 @@ unsafe fn together<L: Level, const CLOSEST: bool>(world: &World, input: &[Ray]) 
         if finite & moderate & ranged != all {
             return None;
         }
+        let kinds = Kinds::new::<L>(&d);
+        if kinds.like_first(all) != all {
+            return None;
+        }
         rays.settle::<L>();
-        let mut done = 0;
         if let Some(only) = world.only {
             instance::<L, CLOSEST>(world, only, &mut rays, all, None);
-            done = all;
         } else if world.tlas.root != EMPTY {
-            let kinds = Kinds::new::<L>(&d);
-            let mut left = all;
-            let few = few_of(&kinds, left);
-            while left != 0 {
-                let group = kinds.like_first(left);
-                left &= !group;
-                if group.count_ones() > few {
-                    let space = Space::new::<L>(&o, &d, &kinds, group, world.extent, world.slack);
-                    let mut v = Above::<CLOSEST> { world, space: &space };
-                    walk::<L, _>(&world.tlas.nodes, world.tlas.root, &space, &mut rays, group, &mut v);
-                    done |= group;
-                }
-            }
+            let space = Space::new::<L>(&o, &d, &kinds, all, world.extent, world.slack);
+            let mut v = Above::<CLOSEST> { world, space: &space };
+            walk::<L, _>(&world.tlas.nodes, world.tlas.root, &space, &mut rays, all, &mut v);
         }
-        Some((rays, done))
+        Some(rays)
     }
 }
 
-/// Closest hits of the level's packet; the lanes whose hits are set, the others have to go alone.
+/// Closest hits of the level's packet; false, and nothing is done, where it is none: see `together`.
 ///
 /// # Safety
 /// The level's features.
 #[inline(always)]
-pub(super) unsafe fn closest<L: Level>(world: &World, input: &[Ray], hits: &mut [Hit]) -> u32 {
+pub(super) unsafe fn closest<L: Level>(world: &World, input: &[Ray], hits: &mut [Hit]) -> bool {
     // SAFETY: by the caller.
-    let Some((rays, done)) = (unsafe { together::<L, true>(world, input) }) else { return 0 };
+    let Some(rays) = (unsafe { together::<L, true>(world, input) }) else { return false };
     for (i, hit) in hits.iter_mut().enumerate() {
         *hit = if rays.prim[i] == Hit::NONE { Hit::MISS } else { rays.hit(i) };
     }
-    done
+    true
 }
 
-/// Any hits of the level's packet; the lanes that are set, the others have to go alone.
+/// Any hits of the level's packet, as [`closest`].
 ///
 /// # Safety
 /// The level's features.
 #[inline(always)]
-pub(super) unsafe fn any<L: Level>(world: &World, input: &[Ray], hits: &mut [bool]) -> u32 {
+pub(super) unsafe fn any<L: Level>(world: &World, input: &[Ray], hits: &mut [bool]) -> bool {
     // SAFETY: by the caller.
-    let Some((rays, done)) = (unsafe { together::<L, false>(world, input) }) else { return 0 };
+    let Some(rays) = (unsafe { together::<L, false>(world, input) }) else { return false };
     for (i, hit) in hits.iter_mut().enumerate() {
         *hit = rays.prim[i] != Hit::NONE;
     }
-    done
+    true
 }

@@ -221,12 +221,12 @@ struct Line8<W> {
     hard: u32,
 }
 
-/// `None`: the line meets nothing.
+/// `None`: the line meets nothing, and `HASTY`.
 ///
 /// # Safety
 /// The level's features.
 #[inline(always)]
-unsafe fn line8<L: Level>(block: &Tri8, ray: &Sheared) -> Option<Line8<L::W8>> {
+unsafe fn line8<L: Level, const HASTY: bool>(block: &Tri8, ray: &Sheared) -> Option<Line8<L::W8>> {
     // SAFETY: lanes are eight f32 each; axes are 0..3; features by the caller.
     unsafe {
         let [ox, oy, oz] = ray.origin_k;
@@ -244,7 +244,7 @@ unsafe fn line8<L: Level>(block: &Tri8, ray: &Sheared) -> Option<Line8<L::W8>> {
         let least = u.min(v).min(w);
         let most = u.max(v).max(w);
         let inside = zero.le(least) | most.le(zero);
-        if inside == 0 {
+        if HASTY && inside == 0 {
             return None;
         }
         let det = u.add(v).add(w);
@@ -275,7 +275,7 @@ pub(super) unsafe fn intersect8<L: Level>(
 ) -> u32 {
     // SAFETY: features by the caller.
     unsafe {
-        let Some(line) = line8::<L>(block, ray) else { return 0 };
+        let Some(line) = line8::<L, true>(block, ray) else { return 0 };
         let (t, mut hard) = (line.t, line.hard);
         let mut mask = line.met & L::W8::splat(t_min).lt(t) & t.le(L::W8::splat(t_max));
         if mask | hard == 0 {
@@ -299,6 +299,62 @@ pub(super) unsafe fn intersect8<L: Level>(
     }
 }
 
+/// As [`intersect8`] without a branch: lanes with t_min < t <= t_max, and those that [`accept`] must decide.
+///
+/// # Safety
+/// The level's features.
+#[inline(always)]
+pub(super) unsafe fn candidates8<L: Level>(
+    block: &Tri8,
+    ray: &Sheared,
+    t_min: f32,
+    t_max: f32,
+    out: &mut [[f32; 8]; 3],
+) -> (u32, u32) {
+    // SAFETY: features by the caller.
+    unsafe {
+        let Some(line) = line8::<L, false>(block, ray) else { return (0, 0) };
+        line.t.store(out[0].as_mut_ptr());
+        line.v.mul(line.reciprocal).store(out[1].as_mut_ptr());
+        line.w.mul(line.reciprocal).store(out[2].as_mut_ptr());
+        (line.met & L::W8::splat(t_min).lt(line.t) & line.t.le(L::W8::splat(t_max)), line.hard)
+    }
+}
+
+/// Takes the nearest of what [`candidates8`] has found.
+#[inline(always)]
+pub(super) fn accept(
+    block: &Tri8,
+    ray: &Sheared,
+    t_min: f32,
+    t_max: f32,
+    instance_id: u32,
+    (mut mask, mut hard): (u32, u32),
+    tuv: &mut [[f32; 8]; 3],
+    best: &mut Hit,
+) {
+    while hard != 0 {
+        let lane = hard.trailing_zeros() as usize;
+        hard &= hard - 1;
+        if let Some((t, u, v)) = hard_lane(block, lane, ray)
+            && t_min < t
+            && t <= best.t
+        {
+            (tuv[0][lane], tuv[1][lane], tuv[2][lane]) = (t, u, v);
+            mask |= 1 << lane;
+        }
+    }
+    while mask != 0 {
+        let lane = mask.trailing_zeros() as usize;
+        mask &= mask - 1;
+        let candidate =
+            Hit { t: tuv[0][lane], u: tuv[1][lane], v: tuv[2][lane], instance_id, primitive_id: block.prim[lane] };
+        if nearer(&candidate, best, t_max) {
+            *best = candidate;
+        }
+    }
+}
+
 /// True where any of a block's triangles is met at t_min < t < t_max.
 ///
 /// # Safety
@@ -307,7 +363,7 @@ pub(super) unsafe fn intersect8<L: Level>(
 unsafe fn occludes8<L: Level>(block: &Tri8, ray: &Sheared, t_min: f32, t_max: f32) -> bool {
     // SAFETY: features by the caller.
     unsafe {
-        let Some(line) = line8::<L>(block, ray) else { return false };
+        let Some(line) = line8::<L, true>(block, ray) else { return false };
         if line.met & L::W8::splat(t_min).lt(line.t) & line.t.lt(L::W8::splat(t_max)) != 0 {
             return true;
         }

@@ -284,6 +284,52 @@ impl Lanes for Z16 {
     }
 }
 
+/// Bits of a distance, so that greater ones come first, with the number of the child in the lowest three.
+///
+/// # Safety
+/// AVX2.
+#[inline(always)]
+unsafe fn keys(enter: __m256) -> __m256i {
+    body!({
+        let turned = _mm256_xor_si256(_mm256_castps_si256(enter), _mm256_set1_epi32(i32::MAX));
+        _mm256_or_si256(_mm256_and_si256(turned, _mm256_set1_epi32(!7)), _mm256_setr_epi32(0, 1, 2, 3, 4, 5, 6, 7))
+    })
+}
+
+/// One layer of a sorting network of four: lanes against those of `$order`, the greater ones to `$greater`.
+macro_rules! layer4 {
+    ($k:expr, $order:literal, $greater:literal) => {{
+        let (k, o) = ($k, _mm_shuffle_epi32::<$order>($k));
+        _mm_blend_epi32::<$greater>(_mm_min_epu32(k, o), _mm_max_epu32(k, o))
+    }};
+}
+
+/// Sorts keys and writes children and distances in their order.
+///
+/// # Safety
+/// AVX2, eight children, room for eight.
+#[inline(always)]
+unsafe fn sort(k: __m256i, enter: __m256, child: *const u32, to_child: *mut u32, to_t: *mut f32) {
+    macro_rules! layer {
+        ($k:expr, $other:expr, $greater:literal) => {{
+            let (k, o) = ($k, $other);
+            _mm256_blend_epi32::<$greater>(_mm256_min_epu32(k, o), _mm256_max_epu32(k, o))
+        }};
+    }
+    body!({
+        let k = layer!(k, _mm256_shuffle_epi32::<0xB1>(k), 0xAA);
+        let k = layer!(k, _mm256_shuffle_epi32::<0x1B>(k), 0xCC);
+        let k = layer!(k, _mm256_shuffle_epi32::<0xB1>(k), 0xAA);
+        let k = layer!(k, _mm256_permutevar8x32_epi32(k, _mm256_setr_epi32(7, 6, 5, 4, 3, 2, 1, 0)), 0xF0);
+        let k = layer!(k, _mm256_shuffle_epi32::<0x4E>(k), 0xCC);
+        let k = layer!(k, _mm256_shuffle_epi32::<0xB1>(k), 0xAA);
+        // The permutation reads the lowest three bits alone.
+        let children = _mm256_permutevar8x32_epi32(_mm256_loadu_si256(child.cast()), k);
+        _mm256_storeu_si256(to_child.cast(), children);
+        _mm256_storeu_ps(to_t, _mm256_permutevar8x32_ps(enter, k));
+    })
+}
+
 /// AVX2 and FMA.
 pub(super) struct Avx2;
 impl Level for Avx2 {
@@ -293,6 +339,15 @@ impl Level for Avx2 {
     fn prefetch(p: *const u8) {
         // SAFETY: a prefetch reads nothing, whatever the address; SSE is part of x86-64.
         unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
+    }
+    #[inline(always)]
+    unsafe fn push(enter: A8, leave: A8, child: *const u32, to_child: *mut u32, to_t: *mut f32) -> usize {
+        body!({
+            let met = _mm256_cmp_ps::<_CMP_LE_OQ>(enter.0, leave.0);
+            let missed = _mm256_xor_si256(_mm256_castps_si256(met), _mm256_set1_epi32(-1));
+            sort(_mm256_or_si256(keys(enter.0), missed), enter.0, child, to_child, to_t);
+            (_mm256_movemask_ps(met) as u32).count_ones() as usize
+        })
     }
 }
 
@@ -305,5 +360,27 @@ impl Level for Avx512 {
     fn prefetch(p: *const u8) {
         // SAFETY: a prefetch reads nothing, whatever the address; SSE is part of x86-64.
         unsafe { _mm_prefetch::<_MM_HINT_T0>(p.cast()) }
+    }
+    #[inline(always)]
+    unsafe fn push(enter: Z8, leave: Z8, child: *const u32, to_child: *mut u32, to_t: *mut f32) -> usize {
+        body!({
+            let met = _mm256_cmp_ps_mask::<_CMP_LE_OQ>(enter.0, leave.0);
+            let count = met.count_ones() as usize;
+            let keys = keys(enter.0);
+            if count > 4 {
+                sort(_mm256_mask_blend_epi32(met, _mm256_set1_epi32(-1), keys), enter.0, child, to_child, to_t);
+                return count;
+            }
+            let k = _mm256_mask_compress_epi32(_mm256_set1_epi32(-1), met, keys);
+            let k = _mm256_castsi256_si128(k);
+            let k = layer4!(k, 0xB1, 0xA);
+            let k = layer4!(k, 0x1B, 0xC);
+            let k = layer4!(k, 0xB1, 0xA);
+            let children = _mm256_permutevar8x32_epi32(_mm256_loadu_si256(child.cast()), _mm256_castsi128_si256(k));
+            _mm_storeu_si128(to_child.cast(), _mm256_castsi256_si128(children));
+            let t = _mm256_permutevar8x32_ps(enter.0, _mm256_castsi128_si256(k));
+            _mm_storeu_ps(to_t, _mm256_castps256_ps128(t));
+            count
+        })
     }
 }
