@@ -133,6 +133,7 @@ pub struct GpuRaster {
     blur: blur::BlurPass,
     gbuffer: gbuffer::GbufferPass,
     compact: compact::CompactPass,
+    list_order: compact::ListOrder,
     direct: direct::DirectPass,
     light_grid: light_grid::GridPass,
     indirect: indirect::IndirectPass,
@@ -213,6 +214,7 @@ impl GpuRaster {
                 counts: Mailbox::new(&gpu, "tracer.staging"),
                 slot: 0,
             },
+            list_order: compact::ListOrder::Rows,
             one_by_one: false,
             readback: Readback::new(&gpu),
             timer: StageTimer::new(&gpu),
@@ -261,6 +263,20 @@ impl GpuRaster {
     pub fn show_work(&mut self, on: bool) {
         if let Some(tracer) = &mut self.tracer {
             tracer.show_work(on);
+        }
+    }
+
+    /// For measurements: the order of the list of masked pixels.
+    #[doc(hidden)]
+    pub fn list_pixels_by(&mut self, order: testing::ListOrder) {
+        self.list_order = order;
+    }
+
+    /// For measurements: the compute tracer's layer is made by queues, a wave a bounce; `None`: by its one kernel.
+    #[doc(hidden)]
+    pub fn trace_by_waves(&mut self, how: Option<testing::Waves>) {
+        if let Some(tracer) = &mut self.tracer {
+            tracer.trace_by_waves(&self.gpu, how);
         }
     }
 
@@ -349,7 +365,19 @@ impl GpuRaster {
         self.bind();
 
         let Self {
-            gpu, open, scene, moments: moments_pass, blur, gbuffer, compact, shadows, picture, timer, mail, ..
+            gpu,
+            open,
+            scene,
+            moments: moments_pass,
+            blur,
+            gbuffer,
+            compact,
+            shadows,
+            picture,
+            timer,
+            mail,
+            list_order,
+            ..
         } = self;
         let Some(bindings) = &self.bindings else { unreachable!("bind comes first") };
         let encoder = open.get_or_insert_with(|| gpu.encoder("frame"));
@@ -368,7 +396,9 @@ impl GpuRaster {
             })?;
         }
         timer.stage(gpu, encoder, "gbuffer", |encoder| gbuffer.record(encoder, scene, &bindings.gbuffer, picture))?;
-        timer.stage(gpu, encoder, "compact", |encoder| compact.record(encoder, &bindings.compact, picture))?;
+        timer.stage(gpu, encoder, "compact", |encoder| {
+            compact.record(encoder, &bindings.compact, picture, *list_order)
+        })?;
         // What the CPU waits for goes with the passes that make it; what nobody fetched is gone.
         mail.masked.open(gpu, 0);
         mail.moments.open(gpu, 0);

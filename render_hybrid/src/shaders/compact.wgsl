@@ -1,5 +1,5 @@
-// The numbers of all pixels that the tracer works on, ascending: count per block, scan, scatter. No atomics, so the list
-// is the same on every run. Source: Blelloch, "Prefix Sums and Their Applications", 1990.
+// The numbers of all pixels that the tracer works on: count per block, scan, scatter. No atomics, so the list is the same on
+// every run. Source: Blelloch, "Prefix Sums and Their Applications", 1990.
 
 // w: over 0.5 where the tracer has work.
 @group(1) @binding(0) var base_color: texture_2d<f32>;
@@ -8,6 +8,34 @@
 @group(1) @binding(2) var<storage, read_write> pixels: array<u32>;
 
 var<workgroup> partial: array<u32, COMPACT_BLOCK>;
+
+// Row by row, by squares of 8 x 8 row by row, or by squares in each of which pixels are in Z order: neighbours of the list are
+// then neighbours in the picture both ways, whose rays take like ways.
+override LIST_ORDER: u32 = 0u;
+
+// Every second bit of six.
+fn even_bits(k: u32) -> u32 {
+    return (k & 1u) | ((k >> 1u) & 2u) | ((k >> 2u) & 4u);
+}
+
+// The number of the pixel that is `i`-th in the order of the list. Squares at the right and lower edge are smaller.
+fn pixel_at(i: u32) -> u32 {
+    let size = textureDimensions(base_color);
+    if LIST_ORDER == 0u || i >= size.x * size.y {
+        return i;
+    }
+    let strip = i / (8u * size.x);
+    let rows = min(8u, size.y - 8u * strip);
+    let within = i % (8u * size.x);
+    let square = within / (8u * rows);
+    let columns = min(8u, size.x - 8u * square);
+    let k = within % (8u * rows);
+    var place = vec2u(k % columns, k / columns);
+    if LIST_ORDER == 2u && rows * columns == 64u {
+        place = vec2u(even_bits(k), even_bits(k >> 1u));
+    }
+    return (8u * strip + place.y) * size.x + 8u * square + place.x;
+}
 
 fn is_traced(pixel: u32) -> bool {
     let size = textureDimensions(base_color);
@@ -45,7 +73,7 @@ fn count(
     @builtin(local_invocation_index) lane: u32,
 ) {
     let block = group.y * groups.x + group.x;
-    let rank = inclusive_scan(lane, u32(is_traced(block * COMPACT_BLOCK + lane)));
+    let rank = inclusive_scan(lane, u32(is_traced(pixel_at(block * COMPACT_BLOCK + lane))));
     if lane == COMPACT_BLOCK - 1u && block < block_count() {
         blocks[block] = rank;
     }
@@ -80,7 +108,7 @@ fn scatter(
     @builtin(local_invocation_index) lane: u32,
 ) {
     let block = group.y * groups.x + group.x;
-    let pixel = block * COMPACT_BLOCK + lane;
+    let pixel = pixel_at(block * COMPACT_BLOCK + lane);
     let traced = is_traced(pixel);
     let rank = inclusive_scan(lane, u32(traced));
     if traced {

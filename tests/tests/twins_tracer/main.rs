@@ -5,9 +5,12 @@
 //! which must not: that a test can fail is part of it.
 
 mod heaps;
+mod holes;
 mod kd;
 mod media;
+mod photons;
 mod scenes;
+mod shade;
 mod split;
 mod surface;
 
