@@ -12,22 +12,16 @@ use crate::error::RenderError;
 /// Order of the list.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum ListOrder {
-    /// Ascending.
+    /// Ascending: as the CPU's tracer takes them.
     Rows,
-    /// By squares of 8 x 8 pixels, row by row in each.
+    /// By squares of 8 x 8 pixels, each in Z order: neighbours in the list are neighbours in the picture, and so take like ways.
     Squares,
-    /// By squares of 8 x 8 pixels, each in Z order.
-    ZOrder,
-}
-
-impl ListOrder {
-    const ALL: [Self; 3] = [Self::Rows, Self::Squares, Self::ZOrder];
 }
 
 /// Count per block, scan, scatter.
 pub(crate) struct CompactPass {
-    /// One set an order.
-    pipelines: [[wgpu::ComputePipeline; 3]; 3],
+    /// By [`ListOrder`].
+    pipelines: [[wgpu::ComputePipeline; 3]; 2],
     layout: wgpu::BindGroupLayout,
 }
 
@@ -49,7 +43,7 @@ fn pipeline(
         module,
         entry_point: Some(entry_point),
         compilation_options: wgpu::PipelineCompilationOptions {
-            constants: &[("LIST_ORDER", f64::from(order as u32))],
+            constants: &[("BY_SQUARES", f64::from(u32::from(order == ListOrder::Squares)))],
             ..Default::default()
         },
         cache: None,
@@ -67,7 +61,7 @@ impl CompactPass {
         let pipeline_layout = pipeline_layout(gpu, "compact", None, Some(&layout));
         let module = shader::module(&gpu.device, "compact");
         Self {
-            pipelines: ListOrder::ALL.map(|order| {
+            pipelines: [ListOrder::Rows, ListOrder::Squares].map(|order| {
                 ["count", "scan", "scatter"].map(|entry| pipeline(gpu, &module, &pipeline_layout, entry, order))
             }),
             layout,
@@ -116,7 +110,7 @@ impl CompactPass {
         mailbox.buffer(encoder, &targets.pixels, 0, likely * 4);
     }
 
-    /// The list of the last [`Self::record`]: its length first, then that many numbers.
+    /// The list of the last [`Self::record`], in its order.
     pub fn read(&self, gpu: &Gpu, readback: &mut Readback, targets: &PictureTargets) -> Result<Vec<u32>, RenderError> {
         let count = self.read_count(gpu, readback, targets)?;
         readback.buffer(gpu, &targets.pixels, 0, u64::from(count) * 4)

@@ -133,7 +133,8 @@ pub struct GpuRaster {
     blur: blur::BlurPass,
     gbuffer: gbuffer::GbufferPass,
     compact: compact::CompactPass,
-    list_order: compact::ListOrder,
+    /// Other than the tracer's own, for measurements.
+    list_order: Option<compact::ListOrder>,
     direct: direct::DirectPass,
     light_grid: light_grid::GridPass,
     indirect: indirect::IndirectPass,
@@ -214,7 +215,7 @@ impl GpuRaster {
                 counts: Mailbox::new(&gpu, "tracer.staging"),
                 slot: 0,
             },
-            list_order: compact::ListOrder::Rows,
+            list_order: None,
             one_by_one: false,
             readback: Readback::new(&gpu),
             timer: StageTimer::new(&gpu),
@@ -266,9 +267,9 @@ impl GpuRaster {
         }
     }
 
-    /// For measurements: the order of the list of masked pixels.
+    /// For measurements: the order of the list of masked pixels; `None`: what suits the tracer.
     #[doc(hidden)]
-    pub fn list_pixels_by(&mut self, order: testing::ListOrder) {
+    pub fn list_pixels_by(&mut self, order: Option<testing::ListOrder>) {
         self.list_order = order;
     }
 
@@ -364,20 +365,9 @@ impl GpuRaster {
         }
         self.bind();
 
+        let order = self.list_order();
         let Self {
-            gpu,
-            open,
-            scene,
-            moments: moments_pass,
-            blur,
-            gbuffer,
-            compact,
-            shadows,
-            picture,
-            timer,
-            mail,
-            list_order,
-            ..
+            gpu, open, scene, moments: moments_pass, blur, gbuffer, compact, shadows, picture, timer, mail, ..
         } = self;
         let Some(bindings) = &self.bindings else { unreachable!("bind comes first") };
         let encoder = open.get_or_insert_with(|| gpu.encoder("frame"));
@@ -396,9 +386,7 @@ impl GpuRaster {
             })?;
         }
         timer.stage(gpu, encoder, "gbuffer", |encoder| gbuffer.record(encoder, scene, &bindings.gbuffer, picture))?;
-        timer.stage(gpu, encoder, "compact", |encoder| {
-            compact.record(encoder, &bindings.compact, picture, *list_order)
-        })?;
+        timer.stage(gpu, encoder, "compact", |encoder| compact.record(encoder, &bindings.compact, picture, order))?;
         // What the CPU waits for goes with the passes that make it; what nobody fetched is gone.
         mail.masked.open(gpu, 0);
         mail.moments.open(gpu, 0);
@@ -429,6 +417,12 @@ impl GpuRaster {
         }
         self.frame = Some(FrameState { settings: *settings, moments });
         Ok(())
+    }
+
+    /// Order of the list of masked pixels: the CPU takes them ascending.
+    fn list_order(&self) -> compact::ListOrder {
+        let own = if self.tracer.is_some() { compact::ListOrder::Squares } else { compact::ListOrder::Rows };
+        self.list_order.unwrap_or(own)
     }
 
     /// Textures are about to be replaced.

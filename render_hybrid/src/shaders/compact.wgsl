@@ -9,19 +9,18 @@
 
 var<workgroup> partial: array<u32, COMPACT_BLOCK>;
 
-// Row by row, by squares of 8 x 8 row by row, or by squares in each of which pixels are in Z order: neighbours of the list are
-// then neighbours in the picture both ways, whose rays take like ways.
-override LIST_ORDER: u32 = 0u;
+// False: row by row. True: by squares of 8 x 8, in each of which pixels are in Z order (Morton, 1966).
+override BY_SQUARES: bool = false;
 
 // Every second bit of six.
 fn even_bits(k: u32) -> u32 {
     return (k & 1u) | ((k >> 1u) & 2u) | ((k >> 2u) & 4u);
 }
 
-// The number of the pixel that is `i`-th in the order of the list. Squares at the right and lower edge are smaller.
+// The number of the pixel that is `i`-th in the order of the list. Squares cut by the right or lower edge are row by row.
 fn pixel_at(i: u32) -> u32 {
     let size = textureDimensions(base_color);
-    if LIST_ORDER == 0u || i >= size.x * size.y {
+    if !BY_SQUARES || i >= size.x * size.y {
         return i;
     }
     let strip = i / (8u * size.x);
@@ -31,7 +30,7 @@ fn pixel_at(i: u32) -> u32 {
     let columns = min(8u, size.x - 8u * square);
     let k = within % (8u * rows);
     var place = vec2u(k % columns, k / columns);
-    if LIST_ORDER == 2u && rows * columns == 64u {
+    if rows * columns == 64u {
         place = vec2u(even_bits(k), even_bits(k >> 1u));
     }
     return (8u * strip + place.y) * size.x + 8u * square + place.x;
