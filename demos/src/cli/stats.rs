@@ -313,7 +313,10 @@ mod tests {
             stats: FrameStats { stages_ms: StageTimes::default(), ..record.stats.clone() },
             ..record.clone()
         };
-        assert_eq!(mrays_by_kind(&[record.clone()]), json!({ "reflection": 2.0, "shadow": 0.5, "photon": 0.5 }));
+        assert_eq!(
+            mrays_by_kind(std::slice::from_ref(&record)),
+            json!({ "reflection": 2.0, "shadow": 0.5, "photon": 0.5 })
+        );
         assert_eq!(mrays_by_kind(&[untimed]), json!({}));
         assert_eq!(stage_leasts(&[record])["traced"], json!(4.0));
     }
