@@ -1,8 +1,9 @@
 #!/bin/sh
 # The table of docs/gpu-tracer.md: the tracers over one raster lane, five scenes, software Vulkan or a real GPU.
 # Usage: [SIZE=512x512] [FRAMES=8] [ROUNDS=2] benches/gpu_tracers.sh [CATOPTRA]
-# Rounds go through the tracers in turn; of the shortest frame and the shortest layer the least of all rounds is printed, of
-# processor time the mean of all.
+# Rounds go through the tracers in turn, with the layer and without (rays below an absurd weight end). Of the shortest frame and
+# layer by the clock the least of all rounds is printed; of processor time, which other programs move less, the mean of all, and
+# for the layer what it adds to a frame without. On a real GPU only the clock tells.
 set -eu
 catoptra=${1:-target/release/catoptra}
 size=${SIZE:-512x512}
@@ -13,32 +14,41 @@ trap 'rm -r "$folder"' EXIT
 "$catoptra" info
 for round in $(seq "$rounds"); do
     for tracer in cpu gpu gpu-fragment; do
-        "$catoptra" bench all --size "$size" --frames "$frames" --raster gpu --tracer "$tracer" --stages \
-            --json "$folder/$tracer.$round.json" > /dev/null
+        for weight in '' '--min-weight 1e9'; do
+            # shellcheck disable=SC2086
+            "$catoptra" bench all --size "$size" --frames "$frames" --raster gpu --tracer "$tracer" --stages $weight \
+                --json "$folder/${weight:+without.}$tracer.$round.json" > /dev/null
+        done
     done
 done
 python3 - "$folder" <<'PY'
-import glob, json, sys
+import glob, json, os, sys
 
-rows = {}
+runs = {False: {}, True: {}}
 for path in sorted(glob.glob(sys.argv[1] + "/*.json")):
+    without = os.path.basename(path).startswith("without.")
     for s in json.load(open(path))["scenes"]:
-        rows.setdefault((s["scene"], s["tracer"]), []).append(s)
+        runs[without].setdefault((s["scene"], s["tracer"]), []).append(s)
 
-def least(runs, key, part):
-    return min(r[key][part] for r in runs)
+def processors(of):
+    times = [r["processor_ms"] for r in of]
+    return sum(times) / len(times) if None not in times else None
 
-print("| scene | tracer | frame, ms | processors, ms | layer, ms | rays a frame: reflection, refraction | Mray/s of the layer: reflection, refraction |")
+print("| scene | tracer | processor ms: frame | layer | Mray a processor's second: reflection, refraction | wall ms: frame | layer |")
 print("|---|---|---|---|---|---|---|")
-counts = {}
-for (scene, tracer), runs in sorted(rows.items(), key=lambda r: (r[0][0], "cpu gpu gpu-fragment".split().index(r[0][1]))):
-    layer = least(runs, "stages_least_ms", "traced")
-    rays = [runs[0]["rays"][k] for k in ("reflection", "refraction")]
-    # The fragment pass cannot count: its rays are those of the compute pass.
-    counts[scene] = rays if sum(rays) else counts.get(scene, rays)
-    rays = counts[scene]
-    rate = ", ".join(f"{n / layer / 1e3:.3g}" for n in rays) if layer > 0 and sum(rays) else ""
-    processors = [r["processor_ms"] for r in runs if r["processor_ms"] is not None]
-    mean = f"{sum(processors) / len(processors):.0f}" if processors else ""
-    print(f"| {scene} | {tracer} | {least(runs, 'frame_ms', 'least'):.0f} | {mean} | {layer:.1f} | {rays[0]:,}, {rays[1]:,} | {rate} |")
+order = "cpu gpu gpu-fragment rayquery".split()
+rays = {}
+for scene, tracer in sorted(runs[False], key=lambda k: (k[0], order.index(k[1]))):
+    own = runs[False][scene, tracer]
+    frame, base = processors(own), processors(runs[True][scene, tracer])
+    layer = frame - base if None not in (frame, base) else None
+    # The fragment pass cannot count: its rays are those of the pass before it.
+    counted = [own[0]["rays"][k] for k in ("reflection", "refraction")]
+    rays[scene] = counted if sum(counted) else rays.get(scene, counted)
+    # Less than the clock of processor time can tell is nothing.
+    told = layer is not None and layer > 5 and sum(rays[scene]) > 0
+    rate = ", ".join(f"{n / layer / 1e3:.2g}" for n in rays[scene]) if told else ""
+    ms = lambda v: "" if v is None else f"{v:.0f}"
+    wall = [min(r["frame_ms"]["least"] for r in own), min(r["stages_least_ms"]["traced"] for r in own)]
+    print(f"| {scene} | {tracer} | {ms(frame)} | {ms(layer)} | {rate} | {ms(wall[0])} | {ms(wall[1])} |")
 PY
