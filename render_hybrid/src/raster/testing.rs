@@ -15,11 +15,13 @@ use crate::{
     trace::{
         explain::local_light,
         facet::Facet,
+        near::NearLights,
         photons::LightPaths,
+        points::Emitter,
         shade::FrameContext,
         surface::{NormalMatrices, Surface},
     },
-    twin::{shadow::ShadowMaps, vpl::Vpl, vpl_maps::VplMaps},
+    twin::{grid::IrradianceGrid, shadow::ShadowMaps, vpl::Vpl, vpl_maps::VplMaps},
 };
 
 pub use super::{
@@ -225,10 +227,44 @@ impl SceneProbe<'_> {
     }
 }
 
+/// What the CPU's tracer shades hits by, for [`light_at`].
+#[derive(Clone, Copy)]
+pub struct ShadedBy<'a> {
+    /// The scene.
+    pub scene: &'a catoptra_engine::RenderScene,
+    /// Normal matrices of its instances.
+    pub normals: &'a NormalMatrices,
+    /// Its structure, up to date.
+    pub accel: &'a crate::accel::Accel,
+    /// Lights' moments, VPLs, their maps.
+    pub lit: LitBy<'a>,
+    /// The frame's settings.
+    pub settings: &'a crate::settings::RenderSettings,
+    /// Bound of the geometry term, 1/m².
+    pub geometry_term_max: f32,
+}
+
 /// Light of a surface towards `wo` by the CPU's own way for what mirrors and glass show.
 /// * `pixel`: number of the picture's pixel
-pub fn light_at(ctx: &FrameContext, s: &Surface, wo: glam::Vec3, pixel: u32) -> glam::Vec3 {
-    let (direct, indirect) = local_light(ctx, s, wo, pixel, false);
+pub fn light_at(by: &ShadedBy, s: &Surface, wo: glam::Vec3, pixel: u32) -> glam::Vec3 {
+    let emitters: Vec<Emitter> = by.lit.vpls.iter().map(Emitter::from).collect();
+    let ctx = FrameContext {
+        scene: by.scene,
+        normals: by.normals,
+        accel: by.accel,
+        maps: by.lit.maps,
+        vpls: by.lit.vpls,
+        emitters: &emitters,
+        vpl_maps: by.lit.vpl_maps,
+        near_lights: &NearLights::default(),
+        mirrored: None,
+        grid: &IrradianceGrid::default(),
+        geometry_term_max: by.geometry_term_max,
+        settings: by.settings,
+        level: crate::settings::SimdLevel::Portable,
+        serial: 1,
+    };
+    let (direct, indirect) = local_light(&ctx, s, wo, pixel, false);
     direct + indirect
 }
 

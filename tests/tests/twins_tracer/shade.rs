@@ -5,16 +5,11 @@ use catoptra_engine::{
     glam::{Affine3, Vec3},
 };
 use catoptra_render_hybrid::{
-    BlasKind, MomentOptions, RenderSettings, ShadowFilter, Shadows, SimdLevel, VplOptions, VplShadows,
+    BlasKind, MomentOptions, RenderSettings, ShadowFilter, Shadows, VplOptions, VplShadows,
     accel::Accel,
-    raster::testing::{LitBy, light_at},
-    trace::{
-        points::Emitter,
-        shade::FrameContext,
-        surface::{NormalMatrices, Surface},
-    },
+    raster::testing::{LitBy, ShadedBy, light_at},
+    trace::surface::{NormalMatrices, Surface},
     twin::{
-        grid::IrradianceGrid,
         shadow::{ShadowMaps, ShadowPlan, moments_of},
         vpl::Vpl,
         vpl_maps::VplMaps,
@@ -165,14 +160,14 @@ fn surface(r: &Row) -> Surface {
 }
 
 /// All that the CPU says of places and normals moved by a few roundings, and a few roundings more.
-fn allowed(ctx: &FrameContext, r: &Row) -> [Allowed; 3] {
-    let light = |r: &Row| light_at(ctx, &surface(r), vec(r, 18), r[27] as u32).to_array();
+fn allowed(by: &ShadedBy, r: &Row) -> [Allowed; 3] {
+    let light = |r: &Row| light_at(by, &surface(r), vec(r, 18), r[27] as u32).to_array();
     let center = light(r);
     let (mut low, mut high) = (center, center);
-    for (at, by) in [(0, 1e-6), (6, 3e-7)] {
+    for (at, step) in [(0, 1e-6), (6, 3e-7)] {
         for (axis, sign) in [(0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0), (2, 1.0), (2, -1.0)] {
             let mut other = *r;
-            other[at + axis] += by * sign;
+            other[at + axis] += step * sign;
             for (i, v) in light(&other).into_iter().enumerate() {
                 (low[i], high[i]) = (low[i].min(v), high[i].max(v));
             }
@@ -204,22 +199,6 @@ fn run(case: Case, accel: &Accel, scene: &RenderScene, rows: &[Row], faults: &[(
         seed: 9,
         ..RenderSettings::default()
     };
-    let emitters: Vec<Emitter> = vpls.iter().map(Emitter::from).collect();
-    let ctx = FrameContext {
-        scene,
-        normals: &normals,
-        accel,
-        maps: &maps,
-        vpls: &vpls,
-        emitters: &emitters,
-        vpl_maps: &vpl_maps,
-        mirrored: None,
-        grid: &IrradianceGrid::default(),
-        geometry_term_max: BOUND,
-        settings: &settings,
-        level: SimdLevel::Portable,
-        serial: 1,
-    };
     let lit = LitBy {
         maps: &maps,
         vpls: &vpls,
@@ -227,6 +206,7 @@ fn run(case: Case, accel: &Accel, scene: &RenderScene, rows: &[Row], faults: &[(
         traced_shadows: case.shadows == Shadows::Traced,
         traced_vpls: case.vpls == VplShadows::Traced,
     };
+    let by = ShadedBy { scene, normals: &normals, accel, lit, settings: &settings, geometry_term_max: BOUND };
     let held = probe.hold_lit(scene, accel, &lit).unwrap();
     let visibility = if case.shadows == Shadows::Moments { "VISIBILITY_MOMENTS" } else { "VISIBILITY_NONE" };
     let (floor, reduction) = (moments.min_variance, moments.light_bleed_reduction);
@@ -244,7 +224,7 @@ fn run(case: Case, accel: &Accel, scene: &RenderScene, rows: &[Row], faults: &[(
         vpl_maps.size,
         u32::from(case.filter == ShadowFilter::Evsm4)
     );
-    let allowed: Vec<_> = rows.iter().map(|r| allowed(&ctx, r)).collect();
+    let allowed: Vec<_> = rows.iter().map(|r| allowed(&by, r)).collect();
     let judge = |edits: &[(&str, &str)]| {
         let gpu: Vec<[f32; 3]> = held.evaluate(edits, &body, rows).unwrap();
         Verdict::of(&[("radiance", 3)], &gpu, |row| allowed[row])
