@@ -33,29 +33,18 @@ fn utilisation_by_turns(work: &[[f64; 2]], lanes: usize, queues: bool) -> f64 {
     work.iter().map(|p| p[1]).sum::<f64>() / most.max(1.0)
 }
 
-/// Masked pixels row by row, as the list of the tracer has them, or square by square.
-fn masked(layer: &Image, square: u32) -> Vec<[f64; 2]> {
+/// Masked pixels by squares of 8 x 8 in Z order, as the list of the tracer has them (`shaders/compact.wgsl`), or by rows.
+fn masked(layer: &Image, squares: bool) -> Vec<[f64; 2]> {
     let (w, h) = (layer.width, layer.height);
-    let mut out = Vec::new();
-    let side = square.max(1);
-    let mut take = |x: u32, y: u32| {
-        let p = layer.pixels[(y * w + x) as usize];
-        if p[2] > 0.0 {
-            out.push([f64::from(p[0]), f64::from(p[1])]);
-        }
-    };
-    if square == 0 {
-        (0..h).for_each(|y| (0..w).for_each(|x| take(x, y)));
-    } else {
-        for (by, bx) in (0..h.div_ceil(side)).flat_map(|y| (0..w.div_ceil(side)).map(move |x| (y, x))) {
-            for (y, x) in (0..side).flat_map(|y| (0..side).map(move |x| (by * side + y, bx * side + x))) {
-                if y < h && x < w {
-                    take(x, y);
-                }
-            }
-        }
+    let mut order: Vec<(u32, u32)> = (0..h).flat_map(|y| (0..w).map(move |x| (x, y))).collect();
+    let spread = |v: u32| (v & 1) | (v & 2) << 1 | (v & 4) << 2;
+    if squares {
+        assert!(w % 8 == 0 && h % 8 == 0, "whole squares");
+        order.sort_by_key(|&(x, y)| (y / 8, x / 8, spread(x % 8) | spread(y % 8) << 1));
     }
-    out
+    let pixel = |(x, y): (u32, u32)| layer.pixels[(y * w + x) as usize];
+    let shown = order.into_iter().map(pixel).filter(|p| p[2] > 0.0);
+    shown.map(|p| [f64::from(p[0]), f64::from(p[1])]).collect()
 }
 
 /// `cargo test -p catoptra_tests --test gpu_work -- --nocapture`; `CATOPTRA_SIZE` names another size than 128.
@@ -83,7 +72,7 @@ fn lanes_of_the_one_kernel() {
         let frame = renderer.render(&scene, &settings).unwrap();
         renderer.gpu_mut().unwrap().show_work(false);
         let layer = frame.layer(Layer::Traced).unwrap();
-        let list = masked(layer, 0);
+        let list = masked(layer, true);
         // What is shown is what is counted, and showing it leaves no mark.
         let rays: f64 = list.iter().map(|p| p[0]).sum();
         assert_eq!(list.len() as u64, plain.stats.masked_pixels);
@@ -102,7 +91,7 @@ fn lanes_of_the_one_kernel() {
             most(0),
             of(&list, 1).iter().sum::<f64>() / rays.max(1.0)
         );
-        for (what, list) in [("rows", masked(layer, 0)), ("8 x 8", masked(layer, 8))] {
+        for (what, list) in [("8 x 8", list), ("rows", masked(layer, false))] {
             let share = |i, lanes| 100.0 * utilisation(&of(&list, i), lanes);
             let three = |f: &dyn Fn(usize) -> f64| [64, 32, 8].map(|lanes| format!("{:.0}", f(lanes))).join(", ");
             println!(

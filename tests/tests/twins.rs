@@ -7,6 +7,7 @@ use catoptra_engine::{
     camera::world_from_view_looking_at,
     glam::{Vec2, Vec3},
     light::spot_falloff,
+    material::POLISHED,
     texture::wrap_texel,
 };
 use catoptra_render_hybrid::{
@@ -397,6 +398,99 @@ fn barycentrics_of_points_on_a_triangle() {
         let gpu = probe.evaluate(&["shared/triangle"], &body, &rows).unwrap();
         let cpu: Vec<_> = rows.iter().map(|r| [r[12], r[13]]).collect();
         assert_close("plane_barycentrics", &gpu, &cpu, 1e-5);
+    }
+}
+
+/// What the rasteriser of moments makes of a place is where shadows are looked up.
+#[test]
+fn places_on_moment_maps() {
+    let Some(probe) = probe() else { return };
+    for view in views() {
+        let rows: Vec<[f32; 3]> = (0..500)
+            .map(|i| vector(i, 2.0))
+            .filter(|p| view.forward.dot(*p - view.origin_world) > 0.05)
+            .map(|p| p.to_array())
+            .collect();
+        assert!(rows.len() > 50);
+        let v = |v: Vec3| format!("vec3f({:?}, {:?}, {:?})", v.x, v.y, v.z);
+        let body = format!(
+            "let view = ShadowView({}, {:?}, {}, {:?}, {}, {}u, {}, 0u);
+            let m = moments_vertex(view, vec3f(x[0], x[1], x[2]));
+            let at = m.position_clip.xy / m.position_clip.w;
+            y[0] = 0.5 + 0.5 * at.x; y[1] = 0.5 - 0.5 * at.y; y[2] = m.depth;
+            y[3] = m.position_clip.z / m.position_clip.w;",
+            v(view.origin_world),
+            view.far,
+            v(view.right_scaled),
+            view.perspective,
+            v(view.up_scaled),
+            view.size,
+            v(view.forward),
+        );
+        let gpu: Vec<[f32; 4]> = probe.evaluate(&["shared/moments"], &body, &rows).unwrap();
+        let cpu: Vec<[f32; 3]> = rows
+            .iter()
+            .map(|r| {
+                let c = shadow_project(&view, Vec3::from(*r));
+                [c.uv.x, c.uv.y, c.depth]
+            })
+            .collect();
+        let places: Vec<[f32; 3]> = gpu.iter().map(|g| [g[0], g[1], g[2]]).collect();
+        assert_close("moments_vertex", &places, &cpu, 1e-4);
+        // Nearer is greater: reversed depth.
+        let mut by_depth = gpu;
+        by_depth.sort_by(|a, b| a[2].total_cmp(&b[2]));
+        assert!(by_depth.windows(2).all(|w| w[0][3] >= w[1][3] && w[0][2] <= w[1][2]));
+    }
+}
+
+/// The G-buffer's packed factors come back to half a step, on the same side of what decides between kinds of surface.
+#[test]
+fn packed_places_and_reflectances() {
+    let Some(probe) = probe() else { return };
+    let edge = |i: u32, v: f32| [0.0, 1.0, 1e-6, 1.0 - 1e-6, POLISHED, POLISHED + 1e-5, v, v][i as usize % 8];
+    let rows: Vec<[f32; 8]> = (0..4000)
+        .map(|i| {
+            let n = |k: u32| noise(i + 5000 * k);
+            let [a, b, c, d] = [0, 1, 2, 3].map(|k| edge((n(k + 10) * 8.0) as u32, n(k)));
+            [a, b, c, d, n(5), n(6), edge((n(20) * 8.0) as u32, n(7)), f32::from(u8::from(i % 2 == 0))]
+        })
+        .collect();
+    let body = "let packed = pack_place(PhysicalPlace(x[0], x[1], x[2], x[3]), x[7] > 0.5);
+        let p = unpack_place(packed);
+        let r = unpack_reflectance(pack_reflectance(vec3f(x[4], x[5], x[6])));
+        var m: Material;
+        m.physical = PHYSICAL | PHYSICAL_REFLECTANCE;
+        let color = vec3f(0.3, 0.6, 0.9);
+        let l = look_of(m, color, packed, pack_reflectance(vec3f(x[4], x[5], x[6])));
+        let same = physical_look(r, color, p);
+        m.physical = PHYSICAL;
+        m.reflectance = vec3f(0.25, 0.5, 0.75);
+        let own = look_of(m, color, packed, 0.0);
+        let same_own = physical_look(m.reflectance, color, p);
+        m.physical = 0u;
+        m.specular = vec3f(0.1, 0.2, 0.3); m.shininess = 7.0; m.diffuse = 0.4; m.mirror = 0.5; m.transmission = 0.6;
+        let plain = look_of(m, color, packed, 0.0);
+        y[0] = p.metallic; y[1] = p.roughness; y[2] = p.transmission; y[3] = p.coverage;
+        y[4] = r.x; y[5] = r.y; y[6] = r.z; y[7] = f32(packed > 0.5); y[8] = f32(packed < -0.5);
+        y[9] = f32(all(l.specular == same.specular) && l.shininess == same.shininess && l.diffuse == same.diffuse
+            && l.mirror == same.mirror && l.transmission == same.transmission);
+        y[10] = f32(all(own.specular == same_own.specular) && own.mirror == same_own.mirror);
+        y[11] = plain.specular.z + plain.shininess + plain.diffuse + plain.mirror + plain.transmission;";
+    let gpu: Vec<[f32; 12]> = probe.evaluate(&["shared/look"], body, &rows).unwrap();
+    for (x, y) in rows.iter().zip(&gpu) {
+        for (k, step) in [127.0, 255.0, 127.0, 127.0].into_iter().enumerate() {
+            // What keeps its side of a decision may be a step off.
+            assert!((x[k] - y[k]).abs() <= 1.001 / step, "{k}: {x:?} {y:?}");
+        }
+        assert!((x[0] > 0.0) == (y[0] > 0.0) && (x[2] > 0.0) == (y[2] > 0.0), "{x:?} {y:?}");
+        assert!((x[1] <= POLISHED) == (y[1] <= POLISHED) && (x[3] < 1.0) == (y[3] < 1.0), "{x:?} {y:?}");
+        for k in 4..7 {
+            assert!((x[k].sqrt() - y[k].sqrt()).abs() <= 0.501 / 511.0, "{x:?} {y:?}");
+        }
+        assert_eq!((y[7], y[8]), (x[7], 1.0 - x[7]));
+        assert_eq!((y[9], y[10]), (1.0, 1.0), "{x:?} {y:?}");
+        assert!((y[11] - 8.8).abs() < 1e-5);
     }
 }
 

@@ -140,6 +140,9 @@ pub struct BenchArgs {
     /// CPU and GPU work on two frames at once (GPU lane): faster, and each picture comes one frame later
     #[arg(long)]
     pub double_buffer: bool,
+    /// Times the GPU's passes one by one, which slows frames a little (`--trace` does it, too)
+    #[arg(long)]
+    pub stages: bool,
     /// Writes the figures as JSON, to stdout where no file is named
     #[arg(long, value_name = "FILE", num_args = 0..=1, default_missing_value = "-")]
     pub json: Option<PathBuf>,

@@ -21,7 +21,7 @@ const WARM_UP: u64 = 2;
 pub fn run(args: &BenchArgs) -> Result<(), Failure> {
     let mut settings = args.picture.settings(DEFAULT_SIZE)?;
     settings.double_buffered = args.double_buffer;
-    settings.time_passes = args.picture.trace.is_some();
+    settings.time_passes = args.stages || args.picture.trace.is_some();
     let targets = Target::parse(&args.target)?;
     refuse_more_than_memory(&settings)?;
     let options = args.picture.scene.options_for(&targets)?;
@@ -35,7 +35,11 @@ pub fn run(args: &BenchArgs) -> Result<(), Failure> {
         let mut world = World::open(target, &options)?;
         let mut progress = Progress::new(&world.name, WARM_UP + args.frames);
         let mut records: Vec<FrameRecord> = Vec::new();
+        let mut before = None;
         for k in 0..WARM_UP + args.frames {
+            if k == WARM_UP {
+                before = stats::processor_ms();
+            }
             let exposure = args.picture.exposure;
             let record = make_frame(&mut world, &mut renderer, &settings, k, Layer::Final, exposure, &mut canvas)?;
             if k >= WARM_UP {
@@ -46,7 +50,10 @@ pub fn run(args: &BenchArgs) -> Result<(), Failure> {
         }
         drop(progress);
         let size = (settings.width, settings.height);
-        let entry = entry(&world, size, &records);
+        // Rounded to hundredths of a second at both ends.
+        let spent = before.zip(stats::processor_ms()).map(|(a, b)| (b - a) / args.frames as f64);
+        let mut entry = entry(&world, size, &records);
+        entry["processor_ms"] = json!(spent.map(stats::ms));
         if !json_alone {
             print(&entry)?;
         }
@@ -73,8 +80,10 @@ fn entry(world: &World, size: (u32, u32), records: &[FrameRecord]) -> Value {
         "triangles": world.scene().triangle_count(),
         "frame_ms": stats::frame_times(records),
         "stages_ms": stats::stage_medians(records),
+        "stages_least_ms": stats::stage_leasts(records),
         "rays": stats::ray_medians(records),
         "mray_per_s": stats::mrays(records),
+        "mray_per_s_by_kind": stats::mrays_by_kind(records),
         // Frames by which pictures are late, and pipelines that frames waited for.
         "latency_frames": last.map(|s| s.latency_frames),
         "pipelines_made": records.iter().map(|r| r.stats.pipelines_made).sum::<u64>(),
@@ -102,5 +111,7 @@ fn print(entry: &Value) -> Result<(), Failure> {
         parts.map(|(k, v)| format!("{k} {:.digits$}", number(v))).collect::<Vec<_>>().join(", ")
     };
     line(format!("  ms: {}", list("stages_ms", 2)))?;
-    line(format!("  rays: {}; {:.2} Mray/s", list("rays", 0), number(&entry["mray_per_s"])))
+    line(format!("  rays: {}; {:.2} Mray/s", list("rays", 0), number(&entry["mray_per_s"])))?;
+    let by_kind = list("mray_per_s_by_kind", 2);
+    if by_kind.is_empty() { Ok(()) } else { line(format!("  Mray/s of the stages that trace: {by_kind}")) }
 }

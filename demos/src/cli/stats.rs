@@ -80,18 +80,32 @@ pub fn stages(record: &FrameRecord) -> [(&'static str, f64); 12] {
 
 /// Medians of the stages over frames, milliseconds rounded to the microsecond.
 pub fn stage_medians(records: &[FrameRecord]) -> Value {
-    let Some(first) = records.first() else { return json!({}) };
-    let medians = stages(first).into_iter().enumerate().map(|(i, (name, _))| {
-        let value = median(records.iter().map(|r| stages(r)[i].1));
-        (name.to_string(), json!(ms(value)))
-    });
-    Value::Object(medians.collect::<Map<_, _>>())
+    stages_by(records, |times| median(times.iter().copied()))
 }
 
-/// Median and 95th percentile of the frames' times.
+/// Shortest times of the stages, as [`stage_medians`]: what other work on the machine disturbed least.
+pub fn stage_leasts(records: &[FrameRecord]) -> Value {
+    stages_by(records, least)
+}
+
+fn stages_by(records: &[FrameRecord], one: impl Fn(&[f64]) -> f64) -> Value {
+    let Some(first) = records.first() else { return json!({}) };
+    let each = stages(first).into_iter().enumerate().map(|(i, (name, _))| {
+        let times: Vec<f64> = records.iter().map(|r| stages(r)[i].1).collect();
+        (name.to_string(), json!(ms(one(&times))))
+    });
+    Value::Object(each.collect::<Map<_, _>>())
+}
+
+fn least(values: &[f64]) -> f64 {
+    values.iter().copied().min_by(f64::total_cmp).unwrap_or(0.0)
+}
+
+/// Median, 95th percentile and least of the frames' times.
 pub fn frame_times(records: &[FrameRecord]) -> Value {
-    let times = || records.iter().map(|r| r.frame_ms);
-    json!({ "median": ms(median(times())), "p95": ms(p95(times())) })
+    let times: Vec<f64> = records.iter().map(|r| r.frame_ms).collect();
+    let all = || times.iter().copied();
+    json!({ "median": ms(median(all())), "p95": ms(p95(all())), "least": ms(least(&times)) })
 }
 
 /// Rays by kind.
@@ -128,6 +142,42 @@ pub fn mrays(records: &[FrameRecord]) -> f64 {
     ms(median(records.iter().map(rate)))
 }
 
+/// Median millions of rays a second by kind, over the stages that trace them: reflection and refraction over `traced`, photons and
+/// VPLs' maps over `vpls`, rays to lights over `direct` and `traced`, rays to VPLs over `indirect` and `traced`. Kinds without
+/// rays, and those whose stages were not timed, are left out; so are the camera's and the moments', which are scan-converted.
+pub fn mrays_by_kind(records: &[FrameRecord]) -> Value {
+    let rates = |kind: &str, r: &FrameRecord| {
+        let s = r.stats.stages_ms;
+        let stages = match kind {
+            "reflection" | "refraction" => s.traced,
+            "photon" | "vpl_maps" => s.vpls,
+            "shadow" => s.direct + s.traced,
+            "vpl" => s.indirect + s.traced,
+            _ => 0.0,
+        };
+        let count = rays(&r.stats.rays).iter().find(|k| k.0 == kind).map_or(0, |k| k.1);
+        (count > 0 && stages > 0.0).then(|| count as f64 * 1e-3 / stages)
+    };
+    let mut map = Map::new();
+    for (kind, _) in rays(&RayCounts::default()) {
+        let each: Vec<f64> = records.iter().filter_map(|r| rates(kind, r)).collect();
+        if !each.is_empty() {
+            map.insert(kind.to_string(), json!(ms(median(each))));
+        }
+    }
+    Value::Object(map)
+}
+
+/// Milliseconds that processors have spent on this process so far, in steps of 10; `None` where the system does not tell.
+pub fn processor_ms() -> Option<f64> {
+    let stat = std::fs::read_to_string("/proc/self/stat").ok()?;
+    // The name in brackets may hold anything; after it, utime and stime are the 12th and 13th.
+    let mut fields = stat.rsplit_once(')')?.1.split_whitespace().skip(11);
+    let mut ticks = || fields.next()?.parse::<f64>().ok();
+    // USER_HZ is 100 on every Linux.
+    Some(10.0 * (ticks()? + ticks()?))
+}
+
 /// One scene's entry in stats.json.
 pub fn scene_entry(scene: &str, layer: &str, size: (u32, u32), triangles: usize, records: &[FrameRecord]) -> Value {
     let pixels = f64::from(size.0) * f64::from(size.1);
@@ -149,6 +199,7 @@ pub fn scene_entry(scene: &str, layer: &str, size: (u32, u32), triangles: usize,
         "stages_ms": stage_medians(records),
         "rays": ray_medians(records),
         "mray_per_s": mrays(records),
+        "mray_per_s_by_kind": mrays_by_kind(records),
         "masked_share": median(records.iter().map(|r| share(&r.stats))),
         "vpls": last.map(|s| s.vpls),
         "tlas_nodes_touched": median(records.iter().map(|r| f64::from(r.stats.tlas_nodes_touched))),
@@ -243,6 +294,44 @@ mod tests {
         assert_eq!(p95([5.0]), 5.0);
         assert_eq!(p95((1..=100).map(f64::from)), 95.0);
         assert_eq!(p95((1..=20).map(f64::from)), 19.0);
+    }
+
+    #[test]
+    fn rates_are_over_the_stages_that_trace() {
+        let stages_ms = StageTimes { traced: 4.0, vpls: 2.0, ..StageTimes::default() };
+        let counts = RayCounts {
+            camera: 9,
+            reflection: 8000,
+            refraction: 0,
+            shadow: 2000,
+            photon: 1000,
+            ..RayCounts::default()
+        };
+        let stats = FrameStats { stages_ms, rays: counts, ..FrameStats::default() };
+        let record = FrameRecord { frame: 0, hash: 0, frame_ms: 10.0, physics_ms: 0.0, tone_map_ms: 0.0, stats };
+        let untimed = FrameRecord {
+            stats: FrameStats { stages_ms: StageTimes::default(), ..record.stats.clone() },
+            ..record.clone()
+        };
+        assert_eq!(
+            mrays_by_kind(std::slice::from_ref(&record)),
+            json!({ "reflection": 2.0, "shadow": 0.5, "photon": 0.5 })
+        );
+        assert_eq!(mrays_by_kind(&[untimed]), json!({}));
+        assert_eq!(stage_leasts(&[record])["traced"], json!(4.0));
+    }
+
+    #[test]
+    fn processor_time_goes_on() {
+        let Some(before) = processor_ms() else { return };
+        let start = std::time::Instant::now();
+        let mut x = 1u64;
+        // Until it shows, within reason.
+        while processor_ms().unwrap() < before + 30.0 && start.elapsed().as_secs() < 60 {
+            (0..100_000).for_each(|_| x = std::hint::black_box(x.wrapping_mul(3)));
+        }
+        let spent = processor_ms().unwrap() - before;
+        assert!(spent >= 30.0, "{spent}");
     }
 
     #[test]

@@ -1,22 +1,53 @@
-//! Pass: the ascending list of pixels that the tracer works on.
+//! Pass: the list of pixels that the tracer works on.
 
 use super::{
     device::Gpu,
-    pipeline::{Slot, compute_pipeline, group, group_layout, linear_dispatch, pipeline_layout},
+    pipeline::{Slot, group, group_layout, linear_dispatch, pipeline_layout},
     readback::{Mailbox, Readback},
     shader::{self, COMPACT_BLOCK},
     targets::PictureTargets,
 };
 use crate::error::RenderError;
 
+/// Order of the list.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum ListOrder {
+    /// Ascending: as the CPU's tracer takes them.
+    Rows,
+    /// By squares of 8 x 8 pixels, each in Z order: neighbours in the list are neighbours in the picture, and so take like ways.
+    Squares,
+}
+
 /// Count per block, scan, scatter.
 pub(crate) struct CompactPass {
-    pipelines: [wgpu::ComputePipeline; 3],
+    /// By [`ListOrder`].
+    pipelines: [[wgpu::ComputePipeline; 3]; 2],
     layout: wgpu::BindGroupLayout,
 }
 
 fn block_count(targets: &PictureTargets) -> u64 {
     (u64::from(targets.width) * u64::from(targets.height)).div_ceil(u64::from(COMPACT_BLOCK))
+}
+
+fn pipeline(
+    gpu: &Gpu,
+    module: &wgpu::ShaderModule,
+    layout: &wgpu::PipelineLayout,
+    entry_point: &str,
+    order: ListOrder,
+) -> wgpu::ComputePipeline {
+    gpu.count_pipeline();
+    gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
+        label: Some(entry_point),
+        layout: Some(layout),
+        module,
+        entry_point: Some(entry_point),
+        compilation_options: wgpu::PipelineCompilationOptions {
+            constants: &[("BY_SQUARES", f64::from(u32::from(order == ListOrder::Squares)))],
+            ..Default::default()
+        },
+        cache: None,
+    })
 }
 
 impl CompactPass {
@@ -30,7 +61,9 @@ impl CompactPass {
         let pipeline_layout = pipeline_layout(gpu, "compact", None, Some(&layout));
         let module = shader::module(&gpu.device, "compact");
         Self {
-            pipelines: ["count", "scan", "scatter"].map(|e| compute_pipeline(gpu, &module, &pipeline_layout, e)),
+            pipelines: [ListOrder::Rows, ListOrder::Squares].map(|order| {
+                ["count", "scan", "scatter"].map(|entry| pipeline(gpu, &module, &pipeline_layout, entry, order))
+            }),
             layout,
         }
     }
@@ -48,12 +81,18 @@ impl CompactPass {
         )
     }
 
-    pub fn record(&self, encoder: &mut wgpu::CommandEncoder, group: &wgpu::BindGroup, targets: &PictureTargets) {
+    pub fn record(
+        &self,
+        encoder: &mut wgpu::CommandEncoder,
+        group: &wgpu::BindGroup,
+        targets: &PictureTargets,
+        order: ListOrder,
+    ) {
         let all = linear_dispatch(block_count(targets));
         let mut pass =
             encoder.begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("compact"), timestamp_writes: None });
         pass.set_bind_group(1, group, &[]);
-        for (pipeline, (x, y)) in self.pipelines.iter().zip([all, (1, 1), all]) {
+        for (pipeline, (x, y)) in self.pipelines[order as usize].iter().zip([all, (1, 1), all]) {
             pass.set_pipeline(pipeline);
             pass.dispatch_workgroups(x, y, 1);
         }
@@ -71,7 +110,7 @@ impl CompactPass {
         mailbox.buffer(encoder, &targets.pixels, 0, likely * 4);
     }
 
-    /// The list of the last [`Self::record`]: its length first, then that many numbers.
+    /// The list of the last [`Self::record`], in its order.
     pub fn read(&self, gpu: &Gpu, readback: &mut Readback, targets: &PictureTargets) -> Result<Vec<u32>, RenderError> {
         let count = self.read_count(gpu, readback, targets)?;
         readback.buffer(gpu, &targets.pixels, 0, u64::from(count) * 4)

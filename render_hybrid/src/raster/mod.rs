@@ -133,6 +133,8 @@ pub struct GpuRaster {
     blur: blur::BlurPass,
     gbuffer: gbuffer::GbufferPass,
     compact: compact::CompactPass,
+    /// Other than the tracer's own, for measurements.
+    list_order: Option<compact::ListOrder>,
     direct: direct::DirectPass,
     light_grid: light_grid::GridPass,
     indirect: indirect::IndirectPass,
@@ -213,6 +215,7 @@ impl GpuRaster {
                 counts: Mailbox::new(&gpu, "tracer.staging"),
                 slot: 0,
             },
+            list_order: None,
             one_by_one: false,
             readback: Readback::new(&gpu),
             timer: StageTimer::new(&gpu),
@@ -261,6 +264,20 @@ impl GpuRaster {
     pub fn show_work(&mut self, on: bool) {
         if let Some(tracer) = &mut self.tracer {
             tracer.show_work(on);
+        }
+    }
+
+    /// For measurements: the order of the list of masked pixels; `None`: what suits the tracer.
+    #[doc(hidden)]
+    pub fn list_pixels_by(&mut self, order: Option<testing::ListOrder>) {
+        self.list_order = order;
+    }
+
+    /// For measurements: the compute tracer's layer is made by queues, a wave a bounce; `None`: by its one kernel.
+    #[doc(hidden)]
+    pub fn trace_by_waves(&mut self, how: Option<testing::Waves>) {
+        if let Some(tracer) = &mut self.tracer {
+            tracer.trace_by_waves(&self.gpu, how);
         }
     }
 
@@ -348,6 +365,7 @@ impl GpuRaster {
         }
         self.bind();
 
+        let order = self.list_order();
         let Self {
             gpu, open, scene, moments: moments_pass, blur, gbuffer, compact, shadows, picture, timer, mail, ..
         } = self;
@@ -368,7 +386,7 @@ impl GpuRaster {
             })?;
         }
         timer.stage(gpu, encoder, "gbuffer", |encoder| gbuffer.record(encoder, scene, &bindings.gbuffer, picture))?;
-        timer.stage(gpu, encoder, "compact", |encoder| compact.record(encoder, &bindings.compact, picture))?;
+        timer.stage(gpu, encoder, "compact", |encoder| compact.record(encoder, &bindings.compact, picture, order))?;
         // What the CPU waits for goes with the passes that make it; what nobody fetched is gone.
         mail.masked.open(gpu, 0);
         mail.moments.open(gpu, 0);
@@ -399,6 +417,12 @@ impl GpuRaster {
         }
         self.frame = Some(FrameState { settings: *settings, moments });
         Ok(())
+    }
+
+    /// Order of the list of masked pixels: the CPU takes them ascending.
+    fn list_order(&self) -> compact::ListOrder {
+        let own = if self.tracer.is_some() { compact::ListOrder::Squares } else { compact::ListOrder::Rows };
+        self.list_order.unwrap_or(own)
     }
 
     /// Textures are about to be replaced.

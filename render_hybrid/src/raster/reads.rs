@@ -2,6 +2,7 @@
 
 use super::{
     GpuRaster,
+    compact::ListOrder,
     layouts::PackedLayer,
     moment_maps,
     readback::{Mailbox, rows},
@@ -33,6 +34,16 @@ impl GpuRaster {
     /// [`RenderError::Gpu`]
     pub fn read_masked_pixels(&mut self) -> Result<Vec<u32>, RenderError> {
         self.begun()?;
+        let rows = self.list_order() == ListOrder::Rows;
+        let mut list = self.read_list()?;
+        if !rows {
+            list.sort_unstable();
+        }
+        Ok(list)
+    }
+
+    /// The same, in the order of the list.
+    fn read_list(&mut self) -> Result<Vec<u32>, RenderError> {
         self.step(|s| {
             if !s.mail.masked.is_full() {
                 return s.compact.read(&s.gpu, &mut s.readback, &s.picture);

@@ -5,17 +5,29 @@ use super::{
     pipeline::{Slot, compute_pipeline, group, group_layout, linear_dispatch, pipeline_layout},
     readback::Readback,
     shader,
-    tracer::probe::HeldScene,
+    tracer::{
+        PhotonInputs,
+        probe::{HeldScene, TEXTURE_SLOTS},
+    },
 };
 use crate::{
     error::RenderError,
     trace::{
+        explain::local_light,
         facet::Facet,
+        near::NearLights,
+        photons::LightPaths,
+        points::Emitter,
+        shade::FrameContext,
         surface::{NormalMatrices, Surface},
     },
+    twin::{grid::IrradianceGrid, shadow::ShadowMaps, vpl::Vpl, vpl_maps::VplMaps},
 };
 
-pub use super::shader::{PASSES, SHARED, stitch};
+pub use super::{
+    compact::ListOrder,
+    shader::{PASSES, SHARED, stitch},
+};
 
 /// What [`super::GpuRaster::inject_fault`] does.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -24,6 +36,18 @@ pub enum InjectedFault {
     DeviceLost,
     /// The device reports that its memory is full.
     OutOfMemory,
+}
+
+/// How the compute tracer goes by waves ([`super::GpuRaster::trace_by_waves`]).
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Waves {
+    /// Waves that are recorded.
+    pub most: u32,
+    /// What is left behind them is followed to its end by the one kernel's loop, a ray an invocation; else it counts as having
+    /// met a cap.
+    pub finish: bool,
+    /// Rays are walked and shaded by a kernel each.
+    pub two_kernels: bool,
 }
 
 /// Hits of a list of rays from the compute tracer.
@@ -93,9 +117,53 @@ impl ShaderProbe {
         scene: &catoptra_engine::RenderScene,
         accel: &crate::accel::Accel,
     ) -> Result<SceneProbe<'_>, RenderError> {
-        let held = HeldScene::new(&self.gpu, scene, accel)?;
-        Ok(SceneProbe { gpu: &self.gpu, held })
+        let plan = crate::twin::shadow::ShadowPlan::new(&scene.lights, scene.bounds_world(), &Default::default());
+        let maps = ShadowMaps { plan, ..ShadowMaps::default() };
+        let (vpls, vpl_maps) = (&[], &VplMaps::default());
+        self.hold_lit(scene, accel, &LitBy { maps: &maps, vpls, vpl_maps, traced_shadows: false, traced_vpls: false })
     }
+
+    /// [`Self::hold`] with all that hits are shaded by.
+    ///
+    /// # Errors
+    /// As [`Self::closest_hits`].
+    pub fn hold_lit(
+        &self,
+        scene: &catoptra_engine::RenderScene,
+        accel: &crate::accel::Accel,
+        lit: &LitBy,
+    ) -> Result<SceneProbe<'_>, RenderError> {
+        Ok(SceneProbe { gpu: &self.gpu, held: HeldScene::new(&self.gpu, scene, accel, lit)? })
+    }
+}
+
+/// What the tracer shades hits by, beside the scene.
+#[derive(Clone, Copy)]
+pub struct LitBy<'a> {
+    /// Plan of the lights' views, and filtered moments of each; without maps where none are read.
+    pub maps: &'a ShadowMaps,
+    /// VPLs.
+    pub vpls: &'a [Vpl],
+    /// Their shadow maps; of size 0: none.
+    pub vpl_maps: &'a VplMaps,
+    /// Rays to lights decide.
+    pub traced_shadows: bool,
+    /// Rays to VPLs decide.
+    pub traced_vpls: bool,
+}
+
+/// VPLs that the tracer's kernels made.
+#[derive(Clone, Debug, Default)]
+pub struct TracedPhotons {
+    /// Those with flux, in their order.
+    pub vpls: Vec<Vpl>,
+    /// Rays followed.
+    pub rays: u64,
+    /// Paths whose walk met its cap.
+    pub capped: u64,
+    /// What the indirect pass reads, a chunk each: count of its VPLs, number of the chunk over 0, the bound of the geometry
+    /// term as bits and 0; then three words a VPL.
+    pub chunks: Vec<Vec<[u32; 4]>>,
 }
 
 /// A scene as the compute tracer holds it: see [`ShaderProbe::hold`].
@@ -125,8 +193,84 @@ impl SceneProbe<'_> {
             assert_eq!(text.matches(from).count(), 1, "{from:?} stands once in the text");
             text = text.replace(from, to);
         }
-        run(self.gpu, &text, Some(self.held.group()), inputs)
+        run(self.gpu, &text, Some(&self.held), inputs)
     }
+
+    /// VPLs of `paths` by the kernels `photons` and `photons_pack`.
+    /// * `edits`: as in [`Self::evaluate`], in either text
+    /// * `subsets`: of interleaved sampling; 1: none
+    ///
+    /// # Errors
+    /// As [`ShaderProbe::closest_hits`].
+    ///
+    /// # Panics
+    /// Where a piece does not stand once in one of both texts.
+    pub fn photons(
+        &mut self,
+        edits: &[(&str, &str)],
+        paths: &LightPaths,
+        subsets: u32,
+        geometry_term_max: f32,
+    ) -> Result<TracedPhotons, RenderError> {
+        let met = std::cell::Cell::new(0);
+        let edit = |_: &str, text: String| {
+            edits.iter().fold(text, |text, (from, to)| {
+                met.set(met.get() + text.matches(from).count());
+                text.replace(from, to)
+            })
+        };
+        let inputs = PhotonInputs { paths, subsets, same: false };
+        let (read, words, stride) = self.held.photons(self.gpu, &inputs, geometry_term_max, &edit)?;
+        assert_eq!(met.get(), edits.len(), "each of {edits:?} stands once in both texts together");
+        let chunks = words.chunks_exact(stride).map(<[_]>::to_vec).collect();
+        Ok(TracedPhotons { vpls: read.vpls, rays: read.rays, capped: read.capped, chunks })
+    }
+}
+
+/// What the CPU's tracer shades hits by, for [`light_at`].
+#[derive(Clone, Copy)]
+pub struct ShadedBy<'a> {
+    /// The scene.
+    pub scene: &'a catoptra_engine::RenderScene,
+    /// Normal matrices of its instances.
+    pub normals: &'a NormalMatrices,
+    /// Its structure, up to date.
+    pub accel: &'a crate::accel::Accel,
+    /// Lights' moments, VPLs, their maps.
+    pub lit: LitBy<'a>,
+    /// The frame's settings.
+    pub settings: &'a crate::settings::RenderSettings,
+    /// Bound of the geometry term, 1/m².
+    pub geometry_term_max: f32,
+}
+
+/// Light of a surface towards `wo` by the CPU's own way for what mirrors and glass show.
+/// * `pixel`: number of the picture's pixel
+pub fn light_at(by: &ShadedBy, s: &Surface, wo: glam::Vec3, pixel: u32) -> glam::Vec3 {
+    let emitters: Vec<Emitter> = by.lit.vpls.iter().map(Emitter::from).collect();
+    let ctx = FrameContext {
+        scene: by.scene,
+        normals: by.normals,
+        accel: by.accel,
+        maps: by.lit.maps,
+        vpls: by.lit.vpls,
+        emitters: &emitters,
+        vpl_maps: by.lit.vpl_maps,
+        near_lights: &NearLights::default(),
+        mirrored: None,
+        grid: &IrradianceGrid::default(),
+        geometry_term_max: by.geometry_term_max,
+        settings: by.settings,
+        level: crate::settings::SimdLevel::Portable,
+        serial: 1,
+    };
+    let (direct, indirect) = local_light(&ctx, s, wo, pixel, false);
+    direct + indirect
+}
+
+/// True where the hit falls into a hole, by the CPU's own way.
+pub fn is_hole(accel: &crate::accel::Accel, hit: &crate::accel::Hit) -> bool {
+    accel.is_hole(hit)
 }
 
 /// The surface that `hit` met by the tracer's own way to it: a kept triangle for plain materials, else
@@ -176,11 +320,10 @@ fn evaluate(
     )
 }
 
-/// * `scene`: layout and resources of group 0
 fn run<const N: usize, const M: usize>(
     gpu: &Gpu,
     text: &str,
-    scene: Option<(&wgpu::BindGroupLayout, &wgpu::BindGroup)>,
+    scene: Option<&HeldScene>,
     inputs: &[[f32; N]],
 ) -> Result<Vec<[f32; M]>, RenderError> {
     let rows = inputs.len();
@@ -193,19 +336,23 @@ fn run<const N: usize, const M: usize>(
             label: Some("probe"),
             source: wgpu::ShaderSource::Wgsl(text.into()),
         });
-        let slots = [Slot::Storage(true), Slot::Storage(false)];
+        let mut slots = vec![Slot::Storage(true), Slot::Storage(false)];
+        let mut resources = vec![from.buffer.as_entire_binding(), to.buffer.as_entire_binding()];
+        if let Some(scene) = scene {
+            slots.extend(TEXTURE_SLOTS);
+            resources.extend(scene.textures());
+        }
         let layout = group_layout(gpu, "probe.group", wgpu::ShaderStages::COMPUTE, &slots);
-        let pipeline_layout = pipeline_layout(gpu, "probe", scene.map(|s| s.0), Some(&layout));
+        let pipeline_layout = pipeline_layout(gpu, "probe", scene.map(|s| s.group().0), Some(&layout));
         let pipeline = compute_pipeline(gpu, &module, &pipeline_layout, "evaluate");
-        let resources = [from.buffer.as_entire_binding(), to.buffer.as_entire_binding()];
         let own = group(gpu, "probe.group", &layout, &resources);
         let mut encoder = gpu.encoder("probe");
         {
             let mut pass = encoder
                 .begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("probe"), timestamp_writes: None });
             pass.set_pipeline(&pipeline);
-            if let Some((_, scene)) = scene {
-                pass.set_bind_group(0, scene, &[]);
+            if let Some(scene) = scene {
+                pass.set_bind_group(0, scene.group().1, &[]);
             }
             pass.set_bind_group(1, &own, &[]);
             let (x, y) = linear_dispatch(rows.div_ceil(64) as u64);

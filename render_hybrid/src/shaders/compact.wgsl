@@ -1,5 +1,5 @@
-// The numbers of all pixels that the tracer works on, ascending: count per block, scan, scatter. No atomics, so the list
-// is the same on every run. Source: Blelloch, "Prefix Sums and Their Applications", 1990.
+// The numbers of all pixels that the tracer works on: count per block, scan, scatter. No atomics, so the list is the same on
+// every run. Source: Blelloch, "Prefix Sums and Their Applications", 1990.
 
 // w: over 0.5 where the tracer has work.
 @group(1) @binding(0) var base_color: texture_2d<f32>;
@@ -8,6 +8,33 @@
 @group(1) @binding(2) var<storage, read_write> pixels: array<u32>;
 
 var<workgroup> partial: array<u32, COMPACT_BLOCK>;
+
+// False: row by row. True: by squares of 8 x 8, in each of which pixels are in Z order (Morton, 1966).
+override BY_SQUARES: bool = false;
+
+// Every second bit of six.
+fn even_bits(k: u32) -> u32 {
+    return (k & 1u) | ((k >> 1u) & 2u) | ((k >> 2u) & 4u);
+}
+
+// The number of the pixel that is `i`-th in the order of the list. Squares cut by the right or lower edge are row by row.
+fn pixel_at(i: u32) -> u32 {
+    let size = textureDimensions(base_color);
+    if !BY_SQUARES || i >= size.x * size.y {
+        return i;
+    }
+    let strip = i / (8u * size.x);
+    let rows = min(8u, size.y - 8u * strip);
+    let within = i % (8u * size.x);
+    let square = within / (8u * rows);
+    let columns = min(8u, size.x - 8u * square);
+    let k = within % (8u * rows);
+    var place = vec2u(k % columns, k / columns);
+    if rows * columns == 64u {
+        place = vec2u(even_bits(k), even_bits(k >> 1u));
+    }
+    return (8u * strip + place.y) * size.x + 8u * square + place.x;
+}
 
 fn is_traced(pixel: u32) -> bool {
     let size = textureDimensions(base_color);
@@ -45,7 +72,7 @@ fn count(
     @builtin(local_invocation_index) lane: u32,
 ) {
     let block = group.y * groups.x + group.x;
-    let rank = inclusive_scan(lane, u32(is_traced(block * COMPACT_BLOCK + lane)));
+    let rank = inclusive_scan(lane, u32(is_traced(pixel_at(block * COMPACT_BLOCK + lane))));
     if lane == COMPACT_BLOCK - 1u && block < block_count() {
         blocks[block] = rank;
     }
@@ -80,7 +107,7 @@ fn scatter(
     @builtin(local_invocation_index) lane: u32,
 ) {
     let block = group.y * groups.x + group.x;
-    let pixel = block * COMPACT_BLOCK + lane;
+    let pixel = pixel_at(block * COMPACT_BLOCK + lane);
     let traced = is_traced(pixel);
     let rank = inclusive_scan(lane, u32(traced));
     if traced {

@@ -153,7 +153,7 @@ fn follow(ctx: &FrameContext, mut way: Way, pixel: u32, tree: &mut RayTree, open
 
 /// Direct and indirect radiance of a surface towards `wo`.
 /// * `seen`: by the camera; else by a ray of a mirror or glass
-fn local_light(ctx: &FrameContext, surface: &Surface, wo: Vec3, pixel: u32, seen: bool) -> (Vec3, Vec3) {
+pub(crate) fn local_light(ctx: &FrameContext, surface: &Surface, wo: Vec3, pixel: u32, seen: bool) -> (Vec3, Vec3) {
     let (mut points, mut rays, mut counts) = (PointBatch::default(), VplRays::default(), RayCounts::default());
     let unlit = ctx.scene.materials[surface.material as usize].unlit;
     points.keep_ray_starts(true);

@@ -4,10 +4,15 @@
 //! Every test runs its WGSL once as it is, which must agree with Rust, and again with each of some faults put into the text,
 //! which must not: that a test can fail is part of it.
 
+mod bvh;
+mod camera;
 mod heaps;
+mod holes;
 mod kd;
 mod media;
+mod photons;
 mod scenes;
+mod shade;
 mod split;
 mod surface;
 

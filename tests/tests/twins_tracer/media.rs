@@ -83,11 +83,7 @@ fn body() -> String {
         y[{before}] = select(f32(c.before), -1.0, c.before == NONE);
         y[{before} + 1] = select(f32(c.after), -1.0, c.after == NONE);
         {}
-        var left = vec3f(1.0);
-        if current != NONE {{
-            let absorption = bitcast<vec4f>(dynamic_word(material_at(current) + 22u));
-            left = beer_lambert(absorption.xyz, absorption.w, x[{STEPS} + 2]);
-        }}
+        let left = transmittance(m, x[{STEPS} + 2]);
         y[{NUMBERS} - 3] = left.x; y[{NUMBERS} - 2] = left.y; y[{NUMBERS} - 1] = left.z;",
         put_stack("m", 0),
         put_stack("c.behind", before + 2)

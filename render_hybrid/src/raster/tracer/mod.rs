@@ -11,6 +11,7 @@ pub(crate) mod query;
 mod rayquery;
 mod scene;
 mod shaders;
+mod waves;
 
 use catoptra_engine::RenderScene;
 use std::collections::HashMap;
@@ -33,6 +34,7 @@ pub(crate) use photons::{PhotonInputs, ReadPhotons};
 use rayquery::HardwareTrees;
 use scene::TracerScene;
 use shaders::{COUNTERS, HeapKind, Variant};
+use waves::WaveTracer;
 
 /// What a frame's tracer reads beside the scene.
 pub(crate) struct TraceInputs<'a> {
@@ -105,6 +107,8 @@ pub(crate) struct GpuTracer {
     args_layout: wgpu::BindGroupLayout,
     args_group: Option<wgpu::BindGroup>,
     counters: wgpu::Buffer,
+    /// In place of the one kernel, for measurements.
+    waves: Option<WaveTracer>,
 }
 
 /// What keeps a device from running a tracer, in words; `None`: nothing.
@@ -179,6 +183,7 @@ impl GpuTracer {
             args_layout,
             args_group: None,
             counters: storage("tracer.counters", u64::from(COUNTERS) * 4, U::STORAGE | U::COPY_SRC | U::COPY_DST),
+            waves: None,
         };
         tracer.compile(gpu, variant);
         Ok(tracer)
@@ -212,6 +217,9 @@ impl GpuTracer {
     pub fn unbind(&mut self) {
         self.group = None;
         self.args_group = None;
+        if let Some(waves) = &mut self.waves {
+            waves.unbind();
+        }
     }
 
     /// Sends what changed.
@@ -263,6 +271,9 @@ impl GpuTracer {
             ..self.variant
         };
         self.compile(gpu, self.variant);
+        if let Some(waves) = &mut self.waves {
+            waves.compile(gpu, &self.scene.layout, self.variant);
+        }
         if let Some(photons) = &mut self.photons {
             photons.compile(gpu, &self.scene, self.variant);
             photons.valid &= self.makes_photons;
@@ -374,6 +385,10 @@ impl GpuTracer {
                     pass.dispatch_workgroups(1, 1, 1);
                 }
                 encoder.copy_buffer_to_buffer(&self.args, 12, &self.masked, 0, 4);
+                if self.waves.is_some() {
+                    self.record_waves(gpu, encoder, (targets, shadows), vpl_maps);
+                    return;
+                }
                 let mut pass = compute_pass(encoder, "tracer");
                 pass.set_pipeline(pipeline);
                 pass.set_bind_group(0, scene, &[]);

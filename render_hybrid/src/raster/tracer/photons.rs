@@ -115,6 +115,28 @@ impl GpuPhotons {
         }
     }
 
+    /// For tests: kernels of edited texts in place of its own.
+    /// * `edit`: a kernel's name and text to another text
+    pub fn replace_kernels(
+        &mut self,
+        gpu: &Gpu,
+        scene: &TracerScene,
+        variant: Variant,
+        edit: &dyn Fn(&str, String) -> String,
+    ) {
+        let variant = variant_of(variant);
+        let pipeline = |kernel: &str, entry: &str, layouts: [Option<&wgpu::BindGroupLayout>; 2]| {
+            let text = edit(kernel, super::shaders::text(kernel, &variant));
+            let source = wgpu::ShaderSource::Wgsl(text.into());
+            let label = Some("photons.edited");
+            let module = gpu.device.create_shader_module(wgpu::ShaderModuleDescriptor { label, source });
+            compute_pipeline(gpu, &module, &pipeline_layout(gpu, kernel, layouts[0], layouts[1]), entry)
+        };
+        let trace = pipeline("photons", "trace_photons", [Some(&scene.layout), Some(&self.trace_layout)]);
+        self.trace.insert(variant, trace);
+        self.pack = pipeline("photons_pack", "pack_photons", [None, Some(&self.pack_layout)]);
+    }
+
     /// Sends what changed and makes room for as many VPLs as there can be. True where the scene's heap of VPLs was replaced.
     /// * `stride`: bytes from one chunk of the indirect pass to the next
     ///

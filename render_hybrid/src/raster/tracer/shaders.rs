@@ -30,6 +30,8 @@ const FILES: &[(&str, &str)] = sources![
     "tracer/trace",
     "tracer/trace_fragment",
     "tracer/traverse",
+    "tracer/wave_args",
+    "tracer/waves",
     "tracer/whitted",
 ];
 
@@ -159,7 +161,7 @@ fn constants(v: &Variant) -> String {
     out
 }
 
-/// The whole text of a kernel: `trace`, `trace_fragment`, `query`, `photons`, `photons_pack` or `args`.
+/// The whole text of a kernel: `trace`, `trace_fragment`, `query`, `photons`, `photons_pack`, `args`, `waves` or `wave_args`.
 ///
 /// # Panics
 /// Where it does not exist: a mistake in this crate, met by its tests.
@@ -223,7 +225,7 @@ mod tests {
         let plain = naga::valid::Capabilities::default();
         for v in variants() {
             let kernels: &[&str] = match v.heaps {
-                HeapKind::Storage => &["args", "trace", "query", "photons", "photons_pack"],
+                HeapKind::Storage => &["args", "trace", "query", "photons", "photons_pack", "wave_args", "waves"],
                 HeapKind::Texture => &["trace_fragment"],
             };
             for kernel in kernels {

@@ -101,25 +101,76 @@ fn choose(a: Branch, b: Branch, second: bool) -> Branch {
     return a;
 }
 
-// What mirror and glass add to a pixel that sees `seen` along `d`.
-fn traced_radiance(seen: Hit, origin: vec3f, d: vec3f, pixel: u32) -> vec3f {
+// What is left of light behind `metres` of what fills the place.
+fn transmittance(inside: Media, metres: f32) -> vec3f {
+    let medium = current_medium(inside);
+    if medium == NONE {
+        return vec3f(1.0);
+    }
+    let absorption = bitcast<vec4f>(dynamic_word(material_at(medium) + 22u));
+    return beer_lambert(absorption.xyz, absorption.w, metres);
+}
+
+// The rays that go on from a surface, at most two.
+struct Children {
+    count: u32,
+    // The lesser of two: a ray that waits is then worth at least as much as all that go before it.
+    first: Branch,
+    second: Branch,
+}
+
+// What `branch` begins at the surface that it met, `way` metres from the camera.
+fn children(branch: Branch, s: SurfacePoint, way: f32) -> Children {
+    var out: Children;
+    if !((s.look.mirror > 0.0 || s.look.transmission > 0.0) && branch.depth < trace.max_depth) {
+        return out;
+    }
+    let along = branch.ray.direction;
+    let optics = split(s, along, branch.inside);
+    let weight = branch.weight;
+    let depth = branch.depth;
+    let crossed = branch.crossed + 1u;
+    if optics.hidden {
+        if branch.crossed < 4u * trace.max_depth && worth(weight) {
+            out.count = 1u;
+            out.first = Branch(leaving_ray(s, along), weight, depth, crossed, true, way, optics.behind);
+        }
+        return out;
+    }
+    let through = weight * optics.transmitted;
+    let back = weight * optics.reflected;
+    let goes_through = optics.passes && worth(through);
+    let goes_back = any(optics.reflected != vec3f(0.0)) && worth(back);
+    let refracted = Branch(
+        leaving_ray(s, optics.transmitted_direction), through, depth + 1u, crossed, true, way, optics.behind);
+    let r = above_horizon(reflect_view(-along, s.n_shading), s.n_geometric);
+    let reflected = Branch(leaving_ray(s, r), back, depth + 1u, crossed, false, way, branch.inside);
+    let back_first = goes_back && !(goes_through && sum(through) < sum(back));
+    out.count = u32(goes_through) + u32(goes_back);
+    out.first = choose(refracted, reflected, back_first);
+    out.second = choose(refracted, reflected, !back_first);
+    return out;
+}
+
+fn camera_branch(ray: Ray) -> Branch {
+    return Branch(ray, vec3f(1.0), 0u, 0u, false, 0.0, empty_media());
+}
+
+// What a ray and all that it begins bring; of a ray from the camera, what it sees is known and brings nothing itself.
+fn traced_radiance(start: Branch, starts_at_camera: bool, seen: Hit, pixel: u32) -> vec3f {
     var radiance = vec3f(0.0);
-    var branch = Branch(Ray(origin, 0.0, d, FAR_AWAY), vec3f(1.0), 0u, 0u, false, 0.0, empty_media());
+    var branch = start;
     var hit = seen;
-    var from_camera = true;
+    var from_camera = starts_at_camera;
     var waiting = 0u;
     // Each turn ends one ray and begins at most two; depth and crossings bound them.
     for (var turn = 0u; turn < trace.ray_cap; turn += 1u) {
         if !from_camera {
             hit = closest_hit(branch.ray);
             count_ray(select(RAYS_REFLECTION, RAYS_REFRACTION, branch.refraction));
-            let medium = current_medium(branch.inside);
-            if medium != NONE {
-                let absorption = bitcast<vec4f>(dynamic_word(material_at(medium) + 22u));
-                branch.weight *= beer_lambert(absorption.xyz, absorption.w, hit.t);
-            }
+            branch.weight *= transmittance(branch.inside, hit.t);
         }
-        var go_on = false;
+        var next: Children;
         if hit.instance == NONE {
             radiance += branch.weight * frame.background;
         } else {
@@ -128,49 +179,22 @@ fn traced_radiance(seen: Hit, origin: vec3f, d: vec3f, pixel: u32) -> vec3f {
             if !from_camera {
                 radiance += branch.weight * shade(s, -branch.ray.direction, pixel);
             }
-            if (s.look.mirror > 0.0 || s.look.transmission > 0.0) && branch.depth < trace.max_depth {
-                let along = branch.ray.direction;
-                let optics = split(s, along, branch.inside);
-                let weight = branch.weight;
-                let depth = branch.depth;
-                let crossed = branch.crossed;
-                let outside = branch.inside;
-                if optics.hidden {
-                    if crossed < 4u * trace.max_depth && worth(weight) {
-                        branch = Branch(leaving_ray(s, along), weight, depth, crossed + 1u, true, way, optics.behind);
-                        go_on = true;
-                    }
-                } else {
-                    let through = weight * optics.transmitted;
-                    let back = weight * optics.reflected;
-                    let goes_through = optics.passes && worth(through);
-                    let goes_back = any(optics.reflected != vec3f(0.0)) && worth(back);
-                    go_on = goes_through || goes_back;
-                    let refracted = Branch(
-                        leaving_ray(s, optics.transmitted_direction), through, depth + 1u, crossed + 1u, true, way,
-                        optics.behind);
-                    let r = above_horizon(reflect_view(-along, s.n_shading), s.n_geometric);
-                    let reflected = Branch(leaving_ray(s, r), back, depth + 1u, crossed + 1u, false, way, outside);
-                    // The lesser first: each ray that waits is then worth at least as much as all that go before it.
-                    let back_first = goes_back && !(goes_through && sum(through) < sum(back));
-                    if goes_through && goes_back {
-                        branches[min(waiting, BRANCH_STACK - 1u)] = choose(refracted, reflected, !back_first);
-                        waiting += 1u;
-                    }
-                    if go_on {
-                        branch = choose(refracted, reflected, back_first);
-                    }
-                }
-            }
+            next = children(branch, s, way);
         }
         from_camera = false;
-        if !go_on {
-            if waiting == 0u {
-                return radiance;
-            }
-            waiting -= 1u;
-            branch = branches[waiting];
+        if next.count > 1u {
+            branches[min(waiting, BRANCH_STACK - 1u)] = next.second;
+            waiting += 1u;
         }
+        if next.count > 0u {
+            branch = next.first;
+            continue;
+        }
+        if waiting == 0u {
+            return radiance;
+        }
+        waiting -= 1u;
+        branch = branches[waiting];
     }
     capped = true;
     return radiance;
@@ -183,19 +207,33 @@ fn pixel_width(way: f32) -> f32 {
 }
 
 // The triangle that the rasteriser saw at a pixel, and the ray to it.
-fn trace_pixel(pixel: vec2u) -> vec3f {
+struct Seen {
+    // Instance NONE: nothing was seen.
+    hit: Hit,
+    ray: Ray,
+}
+
+fn seen_at(pixel: vec2u) -> Seen {
     let seen = textureLoad(visibility, pixel, 0).xy;
+    let ray = camera_ray(frame, vec2f(pixel) + 0.5);
     if seen.x == 0u {
-        return vec3f(0.0);
+        return Seen(Hit(0.0, 0.0, 0.0, NONE, NONE), Ray(ray.origin, 0.0, ray.direction, FAR_AWAY));
     }
     let instance = read_instance(seen.x - 1u);
     let vertices = triangle_vertices(instance, seen.y);
-    let ray = camera_ray(frame, vec2f(pixel) + 0.5);
     let p0 = point_world_from_object(instance, float3(geometry_word(vertices.x)));
     let p1 = point_world_from_object(instance, float3(geometry_word(vertices.y)));
     let p2 = point_world_from_object(instance, float3(geometry_word(vertices.z)));
     let uv = plane_barycentrics(ray.origin, ray.direction, p0, p1, p2);
     let place = p0 * (1.0 - uv.x - uv.y) + p1 * uv.x + p2 * uv.y;
     let hit = Hit(distance(frame.eye_world, place), uv.x, uv.y, seen.x - 1u, seen.y);
-    return traced_radiance(hit, ray.origin, ray.direction, pixel.y * frame.size.x + pixel.x);
+    return Seen(hit, Ray(ray.origin, 0.0, ray.direction, FAR_AWAY));
+}
+
+fn trace_pixel(pixel: vec2u) -> vec3f {
+    let seen = seen_at(pixel);
+    if seen.hit.instance == NONE {
+        return vec3f(0.0);
+    }
+    return traced_radiance(camera_branch(seen.ray), true, seen.hit, pixel.y * frame.size.x + pixel.x);
 }
