@@ -10,7 +10,7 @@ use catoptra_engine::{
 use catoptra_render_hybrid::{
     GlassShadows, Image, Layer, RenderError, RenderSettings, Shadows,
     image_io::srgb8_from_image,
-    raster::GpuRaster,
+    raster::{GpuRaster, Indirect},
     twin::{
         shadow::{ShadowMaps, ShadowPlan},
         vpl::{Vpl, vpl_irradiance},
@@ -84,7 +84,7 @@ fn floor_point(scene: &RenderScene, pixel: usize) -> Vec3 {
 
 fn render(gpu: &mut GpuRaster, scene: &RenderScene, settings: &RenderSettings, vpls: &[Vpl]) -> Image {
     gpu.begin(scene, settings, &plan(scene, settings)).unwrap();
-    gpu.light(vpls, f32::INFINITY, None, None).unwrap();
+    gpu.light(vpls, f32::INFINITY, None, Indirect::Vpls).unwrap();
     gpu.compose(&[]).unwrap();
     gpu.read_layer(Layer::Final).unwrap()
 }
@@ -275,7 +275,7 @@ fn traced_pixels_are_added() {
     let settings = settings(Shadows::Off);
     gpu.begin(&scene, &settings, &ShadowPlan::default()).unwrap();
     let indirect = vec![[0.0, 0.5, 0.0]; (SIZE * SIZE) as usize];
-    gpu.light(&[], f32::INFINITY, None, Some(&indirect)).unwrap();
+    gpu.light(&[], f32::INFINITY, None, Indirect::Layer(&indirect)).unwrap();
     let list = [(0, [1.0, 0.0, 0.0]), (70, [0.0, 0.0, 2.0]), (SIZE * SIZE - 1, [3.0; 3])];
     gpu.compose(&list).unwrap();
     let traced = gpu.read_layer(Layer::Traced).unwrap();
@@ -293,7 +293,7 @@ fn traced_pixels_are_added() {
     let full = render(&mut gpu, &lit, &settings, &[]);
     gpu.begin(&lit, &settings, &ShadowPlan::default()).unwrap();
     let planes = vec![vec![0.5; (SIZE * SIZE) as usize]; 2];
-    gpu.light(&[], f32::INFINITY, Some(&planes), None).unwrap();
+    gpu.light(&[], f32::INFINITY, Some(&planes), Indirect::Vpls).unwrap();
     let half = gpu.read_layer(Layer::Direct).unwrap();
     for (a, b) in full.pixels.iter().zip(&half.pixels) {
         assert_close("half visibility", b[0], a[0] * 0.5, 1e-6);
@@ -463,8 +463,18 @@ fn mistakes_are_errors_not_panics() {
     let settings = settings(Shadows::Off);
     gpu.begin(&scene, &settings, &ShadowPlan::default()).unwrap();
     let short = vec![vec![1.0; 3]];
-    assert!(matches!(gpu.light(&[], 1.0, Some(&short), None), Err(RenderError::Settings(_))));
-    assert!(matches!(gpu.light(&[], 1.0, None, Some(&[[0.0; 3]])), Err(RenderError::Settings(_))));
+    assert!(matches!(gpu.light(&[], 1.0, Some(&short), Indirect::Vpls), Err(RenderError::Settings(_))));
+    assert!(matches!(gpu.light(&[], 1.0, None, Indirect::Layer(&[[0.0; 3]])), Err(RenderError::Settings(_))));
+    let grid = RenderSettings {
+        vpl: Some(catoptra_render_hybrid::VplOptions { spacing: 2, ..Default::default() }),
+        width: 128,
+        height: 128,
+        ..settings
+    };
+    gpu.begin(&scene, &grid, &ShadowPlan::default()).unwrap();
+    let points = [catoptra_render_hybrid::twin::grid::GridPoint::default(); 3];
+    assert!(matches!(gpu.light(&[], 1.0, None, Indirect::Grid(&points)), Err(RenderError::Settings(_))));
+    gpu.begin(&scene, &settings, &ShadowPlan::default()).unwrap();
     assert!(matches!(gpu.compose(&[(SIZE * SIZE, [1.0; 3])]), Err(RenderError::Settings(_))));
     // A lost device: destroyed behind the lane's back. The loss shows once its queue has run dry; every call after that is
     // an error, and none a panic.
@@ -473,7 +483,7 @@ fn mistakes_are_errors_not_panics() {
     let results = [
         gpu.begin(&scene, &RenderSettings { width: 80, ..settings }, &ShadowPlan::default()).err(),
         gpu.read_masked_pixels().err(),
-        gpu.light(&[], 1.0, None, None).err(),
+        gpu.light(&[], 1.0, None, Indirect::Vpls).err(),
         gpu.compose(&[]).err(),
         gpu.read_layer(Layer::Final).err(),
     ];

@@ -82,9 +82,15 @@ impl GridPass {
     }
 
     /// Takes the points from the CPU for the next frame, row by row, in place of a pass over the places. After [`Self::set`].
-    pub fn load(&mut self, gpu: &Gpu, points: &[GridPoint]) {
-        let Some(shape) = self.shape else { return };
-        assert_eq!(points.len(), (shape.size[0] * shape.size[1]) as usize, "a point a place");
+    ///
+    /// # Errors
+    /// [`RenderError::Settings`] where there is not a point a place.
+    pub fn load(&mut self, gpu: &Gpu, points: &[GridPoint]) -> Result<(), RenderError> {
+        let Some(shape) = self.shape else { return Ok(()) };
+        let (given, places) = (points.len(), (shape.size[0] * shape.size[1]) as usize);
+        if given != places {
+            return Err(RenderError::Settings(format!("the grid of light has {given} of {places} points")));
+        }
         for layer in 0..LAYERS {
             let word = |p: &GridPoint| match p.arriving.get(layer as usize) {
                 Some(arriving) => arriving.extend(p.normal[layer as usize]),
@@ -94,6 +100,7 @@ impl GridPass {
             write_part(gpu, &self.targets[0].texture, [0, layer], shape.size, bytemuck::cast_slice(&words), 16);
         }
         self.loaded = true;
+        Ok(())
     }
 
     /// False where pixels are lit one by one.

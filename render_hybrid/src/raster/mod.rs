@@ -604,7 +604,7 @@ impl GpuRaster {
                     self.bind_indirect();
                 }
                 if let (Indirect::Grid(points), true) = (indirect, self.light_grid.is_on()) {
-                    self.light_grid.load(&self.gpu, points);
+                    self.light_grid.load(&self.gpu, points)?;
                 }
             }
         }
