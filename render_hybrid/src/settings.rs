@@ -248,7 +248,7 @@ impl Default for RenderSettings {
 pub enum Preset {
     /// 16 VPLs without shadows, depth 4: editing.
     Draft,
-    /// 512 VPLs with shadow maps on a grid of the picture, 64 without in mirrors, filtered shadows, depth 8: play.
+    /// 400 VPLs with shadow maps on a grid of the picture, 64 without in mirrors, filtered shadows, depth 8: play.
     #[default]
     Interactive,
     /// 4,096 VPLs of four times as many candidates, with shadow maps and the near field, certified soft shadows, depth 16:
@@ -292,7 +292,7 @@ impl RenderSettings {
             // against the reference (docs/light.md).
             Preset::Interactive => Self {
                 vpl: Some(VplOptions {
-                    count: 512,
+                    count: 400,
                     geometry_term_max: Some(30.0),
                     map_size: 16,
                     spacing: 16,
