@@ -30,7 +30,7 @@ use crate::{
         photons::LightPaths,
         whitted::{self, MaskedPixel},
     },
-    twin::{grid::spacing_of, shadow::ShadowPlan, vpl_maps::VplMaps},
+    twin::{grid::has_near_field, shadow::ShadowPlan, vpl_maps::VplMaps},
 };
 
 /// A frame that is lit on the GPU and not traced yet.
@@ -305,7 +305,7 @@ fn light(
 
     // Where visibility is traced, the CPU finds it.
     let trace_lights = matches!(settings.shadows, Shadows::Traced | Shadows::Certified);
-    let near_field = settings.vpl.is_some_and(|v| v.near_field) && spacing_of(settings) > 1;
+    let near_field = has_near_field(settings);
     if settings.shadows == Shadows::Certified || near_field {
         clock.run("moments", &mut told, || moments(state, level, scene, settings, stats));
     }
@@ -341,7 +341,8 @@ fn light(
         }
         stats.tracer_fallback.clone_from(&state.tracer_fallback);
     }
-    let indirect = match (trace_vpls, near_field) {
+    // Without VPLs there is no grid either.
+    let indirect = match (trace_vpls, near_field && state.grid.is_built()) {
         (true, _) => Indirect::Layer(&traced.indirect),
         (false, true) => Indirect::Grid(state.grid.points()),
         (false, false) => Indirect::Vpls,

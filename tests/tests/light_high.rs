@@ -166,6 +166,24 @@ fn one_hash_for_threads_levels_and_trees() {
     }
 }
 
+/// Without VPLs there is no grid: the scene is dark, and no lane minds.
+#[test]
+fn a_scene_without_lights_is_dark_on_both_lanes() {
+    let mut scene = scene_at("rolling-box", 0);
+    scene.lights.clear();
+    for raster in [RasterLane::Cpu, RasterLane::Gpu] {
+        let options = RendererOptions { raster, ..RendererOptions::default() };
+        if raster == RasterLane::Gpu && opened_or_skip("a_scene_without_lights", GpuRaster::new()).is_none() {
+            continue;
+        }
+        let mut renderer = Renderer::new(options).unwrap();
+        let mut high = high();
+        high.keep_layers = true;
+        let frame = renderer.render(&scene, &high).unwrap();
+        assert_eq!(mean(frame.layer(Layer::Indirect).unwrap()), 0.0, "{raster:?}");
+    }
+}
+
 #[test]
 fn the_lanes_agree() {
     if opened_or_skip("the_lanes_agree", GpuRaster::new()).is_none() {

@@ -2,7 +2,7 @@
 
 use super::{
     device::Gpu,
-    pipeline::{Slot, group, group_layout, linear_dispatch, pipeline_layout},
+    pipeline::{Slot, compute_pipeline_with, group, group_layout, linear_dispatch, pipeline_layout},
     readback::{Mailbox, Readback},
     shader::{self, COMPACT_BLOCK},
     targets::PictureTargets,
@@ -29,27 +29,6 @@ fn block_count(targets: &PictureTargets) -> u64 {
     (u64::from(targets.width) * u64::from(targets.height)).div_ceil(u64::from(COMPACT_BLOCK))
 }
 
-fn pipeline(
-    gpu: &Gpu,
-    module: &wgpu::ShaderModule,
-    layout: &wgpu::PipelineLayout,
-    entry_point: &str,
-    order: ListOrder,
-) -> wgpu::ComputePipeline {
-    gpu.count_pipeline();
-    gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
-        label: Some(entry_point),
-        layout: Some(layout),
-        module,
-        entry_point: Some(entry_point),
-        compilation_options: wgpu::PipelineCompilationOptions {
-            constants: &[("BY_SQUARES", f64::from(u32::from(order == ListOrder::Squares)))],
-            ..Default::default()
-        },
-        cache: None,
-    })
-}
-
 impl CompactPass {
     pub fn new(gpu: &Gpu) -> Self {
         let layout = group_layout(
@@ -62,7 +41,9 @@ impl CompactPass {
         let module = shader::module(&gpu.device, "compact");
         Self {
             pipelines: [ListOrder::Rows, ListOrder::Squares].map(|order| {
-                ["count", "scan", "scatter"].map(|entry| pipeline(gpu, &module, &pipeline_layout, entry, order))
+                let constants = [("BY_SQUARES", f64::from(u8::from(order == ListOrder::Squares)))];
+                ["count", "scan", "scatter"]
+                    .map(|entry| compute_pipeline_with(gpu, &module, &pipeline_layout, entry, &constants))
             }),
             layout,
         }

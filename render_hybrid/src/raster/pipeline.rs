@@ -140,13 +140,24 @@ pub(crate) fn compute_pipeline(
     layout: &wgpu::PipelineLayout,
     entry_point: &str,
 ) -> wgpu::ComputePipeline {
+    compute_pipeline_with(gpu, module, layout, entry_point, &[])
+}
+
+/// A compute pipeline whose `override` constants are given by name.
+pub(crate) fn compute_pipeline_with(
+    gpu: &Gpu,
+    module: &wgpu::ShaderModule,
+    layout: &wgpu::PipelineLayout,
+    entry_point: &str,
+    constants: &[(&str, f64)],
+) -> wgpu::ComputePipeline {
     gpu.count_pipeline();
     gpu.device.create_compute_pipeline(&wgpu::ComputePipelineDescriptor {
         label: Some(entry_point),
         layout: Some(layout),
         module,
         entry_point: Some(entry_point),
-        compilation_options: Default::default(),
+        compilation_options: wgpu::PipelineCompilationOptions { constants, ..Default::default() },
         cache: None,
     })
 }

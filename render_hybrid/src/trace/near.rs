@@ -26,7 +26,7 @@ use crate::{
     accel::{Accel, Hit, Ray},
     output::RayCounts,
     settings::{RenderSettings, VplOptions},
-    twin::{gbuffer::point_of, vpl::Vpl, vpl_maps::VplMaps},
+    twin::{gbuffer::point_of, grid::has_near_field, vpl::Vpl, vpl_maps::VplMaps},
 };
 
 /// Cells a side of a place's map.
@@ -88,7 +88,7 @@ impl NearLights {
         accel: &Accel,
         settings: &RenderSettings,
     ) -> [u64; 2] {
-        let Some(vpl) = settings.vpl.filter(|v| v.near_field && v.bounces > 1) else {
+        let Some(vpl) = settings.vpl.filter(|v| has_near_field(settings) && v.bounces > 1) else {
             self.photons.vpls.clear();
             self.maps.clear();
             return [0; 2];

@@ -254,6 +254,11 @@ pub fn spacing_of(settings: &RenderSettings) -> u32 {
     wanted.min(1 << most.ilog2())
 }
 
+/// True where rays around the grid's places are sent: the settings want them, and there is a grid.
+pub fn has_near_field(settings: &RenderSettings) -> bool {
+    settings.vpl.is_some_and(|v| v.near_field) && spacing_of(settings) > 1
+}
+
 /// Columns and rows of the grid of a picture: one more than its runs of sixteen pixels cover, so that every pixel lies between
 /// four.
 pub fn grid_size([width, height]: [u32; 2], spacing: u32) -> [u32; 2] {
@@ -294,7 +299,7 @@ fn fill_rows(ctx: &FrameContext, spacing: u32, first: [usize; 2], points: &mut [
     s.close.clear();
     s.close.resize(points.len(), [Vec3::ZERO; 3]);
     s.near.counts = RayCounts::default();
-    let near_field = ctx.settings.vpl.is_some_and(|v| v.near_field);
+    let near_field = has_near_field(ctx.settings);
     if near_field {
         s.near.look(ctx, &s.places, &mut s.close);
     }
