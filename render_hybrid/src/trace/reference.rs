@@ -57,12 +57,51 @@ impl ReferenceOptions {
     }
 }
 
+/// Most samples of a pixel in a pass.
+const LONGEST_PASS: u32 = 256;
+
+/// A pass is one Sobol' set over the whole picture, cut into pixels along a Z curve: neighbours share its samples out among them,
+/// so that their errors are unlike and, seen from a little afar, cancel. Passes have nothing in common with each other; they come in
+/// pairs, one for each half of the samples, and grow as samples do.
+///
+/// Source: Ahmed & Wonka, "Screen-Space Blue-Noise Diffusion of Monte Carlo Sampling Error via Hierarchical Ordering of
+/// Pixels", SIGGRAPH Asia 2020.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Pass {
+    /// Its first sample of a pixel, and how many.
+    first: u32,
+    len: u32,
+    /// Half of the samples that it counts for.
+    half: usize,
+}
+
+impl Pass {
+    /// The pass of sample `index`: of [0, 2), [2, 4), [4, 8), [8, 16) .. the first or the second half.
+    fn of(index: u32) -> Self {
+        let pair = if index < 2 { 2 } else { (1 << index.ilog2()).min(2 * LONGEST_PASS) };
+        let len = pair / 2;
+        let first = index - index % len;
+        Self { first, len, half: usize::from(index % pair >= len) }
+    }
+
+    /// Samples of a half among the first `spp`.
+    fn samples(spp: u32, half: usize) -> u32 {
+        let (mut at, mut sum) = (0, 0);
+        while at < spp {
+            let pass = Self::of(at);
+            sum += if pass.half == half { pass.len.min(spp - at) } else { 0 };
+            at += pass.len;
+        }
+        sum
+    }
+}
+
 /// Sums of samples, in two halves whose difference tells the noise.
 #[derive(Clone, Debug, PartialEq)]
 pub struct ReferenceAccumulator {
     width: u32,
     height: u32,
-    /// Even and odd samples.
+    /// Of passes that have nothing in common.
     sums: [Vec<[f64; 3]>; 2],
     spp: u32,
 }
@@ -84,9 +123,10 @@ impl ReferenceAccumulator {
         self.mean(&|i| std::array::from_fn(|c| self.sums[0][i][c] + self.sums[1][i][c]), self.spp)
     }
 
-    /// The mean of the even (0) or odd (1) samples: when the halves agree the picture can be judged by.
+    /// The mean of one half of the samples, 0 or 1: when the halves agree the picture can be judged by. Black where there are no
+    /// samples of it yet.
     pub fn half(&self, which: usize) -> Image {
-        self.mean(&|i| self.sums[which][i], (self.spp + 1 - which as u32) / 2)
+        self.mean(&|i| self.sums[which][i], Pass::samples(self.spp, which))
     }
 
     fn mean(&self, sum: &dyn Fn(usize) -> [f64; 3], n: u32) -> Image {
@@ -98,7 +138,7 @@ impl ReferenceAccumulator {
     /// State for resuming, little-endian.
     pub fn to_bytes(&self) -> Vec<u8> {
         let mut out = Vec::with_capacity(20 + self.sums[0].len() * 48);
-        out.extend_from_slice(b"CATREF1\0");
+        out.extend_from_slice(b"CATREF2\0");
         for v in [self.width, self.height, self.spp] {
             out.extend_from_slice(&v.to_le_bytes());
         }
@@ -110,7 +150,7 @@ impl ReferenceAccumulator {
 
     /// Reads [`Self::to_bytes`]; `None` where the bytes are not such a state.
     pub fn from_bytes(bytes: &[u8]) -> Option<Self> {
-        let rest = bytes.strip_prefix(b"CATREF1\0")?;
+        let rest = bytes.strip_prefix(b"CATREF2\0")?;
         let word = |i: usize| Some(u32::from_le_bytes(rest.get(4 * i..4 * i + 4)?.try_into().ok()?));
         let (width, height, spp) = (word(0)?, word(1)?, word(2)?);
         let n = width as usize * height as usize;
@@ -135,25 +175,29 @@ impl ReferenceAccumulator {
         let width = self.width as usize;
         let first = self.spp;
         let emissive = scene.materials.iter().any(|m| m.emissive != Vec3::ZERO && !m.unlit);
-        let [even, odd] = &mut self.sums;
-        let rays = even
+        let [a, b] = &mut self.sums;
+        let rays = a
             .par_chunks_mut(width)
-            .zip(odd.par_chunks_mut(width))
+            .zip(b.par_chunks_mut(width))
             .enumerate()
-            .map(|(y, (even, odd))| {
+            .map(|(y, (a, b))| {
                 let mut rays = 0;
                 for x in 0..width {
                     // All samples of a pixel begin with one ray, through its centre.
                     let ray = camera_ray(&scene.camera, x as f32, y as f32, options.width, options.height);
                     let seen = meet(scene, normals, accel, &ray);
                     rays += u64::from(first == 0);
+                    let place = sampling::morton(x as u32, y as u32);
                     for index in first..first + samples {
-                        let pixel = (y * width + x) as u32;
+                        let pass = Pass::of(index);
+                        // Far apart, pixels of huge pictures may have the same.
+                        let number = place.wrapping_mul(pass.len) + (index - pass.first);
+                        let seed = sampling::hash_combine(options.seed, pass.first);
                         let mut path =
-                            Path { scene, normals, accel, options, emissive, pixel, index, dimension: 0, rays: 0 };
+                            Path { scene, normals, accel, options, emissive, number, seed, dimension: 0, rays: 0 };
                         let radiance = path.radiance(ray, seen);
                         rays += path.rays;
-                        let sum = if index % 2 == 0 { &mut even[x] } else { &mut odd[x] };
+                        let sum = if pass.half == 0 { &mut a[x] } else { &mut b[x] };
                         if radiance.is_finite() {
                             for c in 0..3 {
                                 sum[c] += f64::from(radiance[c]);
@@ -182,8 +226,10 @@ struct Path<'a> {
     options: &'a ReferenceOptions,
     /// Some surface emits.
     emissive: bool,
-    pixel: u32,
-    index: u32,
+    /// Of the sample among all of its pass.
+    number: u32,
+    /// Of its pass.
+    seed: u32,
     dimension: u32,
     rays: u64,
 }
@@ -192,8 +238,7 @@ impl Path<'_> {
     /// The next two coordinates of this sample.
     fn next_2d(&mut self) -> glam::Vec2 {
         self.dimension += 1;
-        let seed = sampling::hash_combine(sampling::hash_combine(self.options.seed, self.pixel), self.dimension);
-        sampling::sobol_2d(self.index, seed)
+        sampling::sobol_2d(self.number, sampling::hash_combine(self.seed, self.dimension))
     }
 
     /// Radiance along `ray`, which meets `seen`.
@@ -327,4 +372,30 @@ impl Path<'_> {
 pub fn sphere_indirect_radiance(albedo: f32, intensity: f32, radius: f32, bounces: u32) -> f32 {
     let rho_n = (0..bounces).fold(1.0, |p, _| p * albedo);
     albedo / PI * intensity / (radius * radius) * albedo * (1.0 - rho_n) / (1.0 - albedo)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn passes_are_halves_of_growing_pairs() {
+        let mut at = 0;
+        let mut count = [0, 0];
+        while at < 4096 {
+            let pass = Pass::of(at);
+            assert_eq!((pass.first, pass.len.is_power_of_two()), (at, true));
+            assert!(pass.len <= LONGEST_PASS && at % pass.len == 0);
+            for index in at..at + pass.len {
+                assert_eq!(Pass::of(index), pass);
+                count[pass.half] += 1;
+                assert_eq!([0, 1].map(|half| Pass::samples(index + 1, half)), count);
+            }
+            at += pass.len;
+            if at.is_power_of_two() && at > 1 {
+                assert_eq!(count[0], count[1], "after {at}");
+            }
+        }
+        assert_eq!(Pass::of(4095).len, LONGEST_PASS);
+    }
 }

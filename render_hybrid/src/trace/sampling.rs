@@ -78,6 +78,18 @@ pub fn sobol_2d(index: u32, seed: u32) -> Vec2 {
     Vec2::new(unit_f32(x), unit_f32(y))
 }
 
+/// Place of (x, y), each under 2^16, on a Z curve: their bits in turns, x first.
+#[inline]
+pub fn morton(x: u32, y: u32) -> u32 {
+    let spread = |v: u32| {
+        let v = (v | v << 8) & 0x00ff_00ff;
+        let v = (v | v << 4) & 0x0f0f_0f0f;
+        let v = (v | v << 2) & 0x3333_3333;
+        (v | v << 1) & 0x5555_5555
+    };
+    spread(x) | spread(y) << 1
+}
+
 /// Direction around unit `n` with density cos/π.
 #[inline]
 pub fn cosine_direction(n: Vec3, xi: Vec2) -> Vec3 {
