@@ -433,6 +433,7 @@ fn fetch(
     if settings.traced && !masked.is_empty() && settings.shadows == Shadows::Moments {
         state.maps.plan.clone_from(plan);
         clock.run("read moments", &mut ms.transfer, || gpu.read_moments_into(&mut state.maps.maps))?;
+        state.maps.make_levels();
         state.moments.forget();
     }
     Ok(masked)

@@ -1,4 +1,4 @@
-//! Pass: the separable 7x7 Gaussian over the shadow moments.
+//! Pass: the separable 3x3 binomial over the shadow moments, then the further levels of their pyramid.
 
 use super::{
     device::Gpu,
@@ -6,16 +6,22 @@ use super::{
     shader,
     targets::{MOMENTS_FORMAT, MomentTargets},
 };
+use crate::twin::penumbra::{level_count, level_size};
 
 /// Blurs rows into the scratch array and columns back.
 pub(crate) struct BlurPass {
     horizontal: wgpu::ComputePipeline,
     vertical: wgpu::ComputePipeline,
+    halve: wgpu::ComputePipeline,
     layout: wgpu::BindGroupLayout,
 }
 
-/// Bindings of one array's two directions.
-pub(crate) struct BlurGroups([wgpu::BindGroup; 2]);
+/// Bindings of one array.
+pub(crate) struct BlurGroups {
+    directions: [wgpu::BindGroup; 2],
+    /// From each level to the next one.
+    levels: Vec<wgpu::BindGroup>,
+}
 
 impl BlurPass {
     pub fn new(gpu: &Gpu) -> Self {
@@ -30,29 +36,50 @@ impl BlurPass {
         Self {
             horizontal: compute_pipeline(gpu, &module, &pipeline_layout, "horizontal"),
             vertical: compute_pipeline(gpu, &module, &pipeline_layout, "vertical"),
+            halve: compute_pipeline(gpu, &module, &pipeline_layout, "halve"),
             layout,
         }
     }
 
     pub fn bind(&self, gpu: &Gpu, targets: &MomentTargets) -> BlurGroups {
-        let view = |v| wgpu::BindingResource::TextureView(v);
-        let (a, b) = (&targets.moments.view, &targets.scratch.view);
-        BlurGroups([
-            group(gpu, "moments_blur.horizontal", &self.layout, &[view(a), view(b)]),
-            group(gpu, "moments_blur.vertical", &self.layout, &[view(b), view(a)]),
-        ])
+        fn view(v: &wgpu::TextureView) -> wgpu::BindingResource<'_> {
+            wgpu::BindingResource::TextureView(v)
+        }
+        let of_level = |l| targets.moments.level_view("moments.level", l);
+        let (a, b) = (&of_level(0), &targets.scratch.view);
+        let levels = 1..level_count(targets.size);
+        BlurGroups {
+            directions: [
+                group(gpu, "moments_blur.horizontal", &self.layout, &[view(a), view(b)]),
+                group(gpu, "moments_blur.vertical", &self.layout, &[view(b), view(a)]),
+            ],
+            levels: levels
+                .map(|l| {
+                    let (fine, coarse) = (of_level(l - 1), of_level(l));
+                    group(gpu, "moments_blur.halve", &self.layout, &[view(&fine), view(&coarse)])
+                })
+                .collect(),
+        }
     }
 
-    pub fn record(&self, encoder: &mut wgpu::CommandEncoder, groups: &BlurGroups, targets: &MomentTargets) {
-        let groups_across = targets.size.div_ceil(8);
-        for (pipeline, group) in [&self.horizontal, &self.vertical].into_iter().zip(&groups.0) {
+    /// * `soft`: some light has a disc, so that the further levels are read
+    pub fn record(&self, encoder: &mut wgpu::CommandEncoder, groups: &BlurGroups, targets: &MomentTargets, soft: bool) {
+        let mut run = |pipeline: &wgpu::ComputePipeline, group: &wgpu::BindGroup, size: u32| {
             let mut pass = encoder.begin_compute_pass(&wgpu::ComputePassDescriptor {
                 label: Some("moments_blur"),
                 timestamp_writes: None,
             });
             pass.set_pipeline(pipeline);
             pass.set_bind_group(1, group, &[]);
-            pass.dispatch_workgroups(groups_across, groups_across, targets.layers);
+            pass.dispatch_workgroups(size.div_ceil(8), size.div_ceil(8), targets.layers);
+        };
+        for (pipeline, group) in [&self.horizontal, &self.vertical].into_iter().zip(&groups.directions) {
+            run(pipeline, group, targets.size);
+        }
+        if soft {
+            for (level, group) in (1..).zip(&groups.levels) {
+                run(&self.halve, group, level_size(targets.size, level));
+            }
         }
     }
 }

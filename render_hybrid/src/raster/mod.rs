@@ -375,12 +375,13 @@ impl GpuRaster {
             timer.stage(gpu, encoder, "moments", |encoder| {
                 let clear_glass = settings.glass_shadows == GlassShadows::Clear;
                 moments_pass.record(gpu, encoder, scene, plan, shadows, settings.moments.filter, clear_glass);
-                for (kind, groups, used) in [
-                    (&shadows.maps, &bindings.blur[0], plan.lights.iter().any(|l| l.count == 1)),
-                    (&shadows.faces, &bindings.blur[1], plan.lights.iter().any(|l| l.count == 6)),
-                ] {
-                    if used {
-                        blur.record(encoder, groups, kind);
+                for (kind, groups, count) in
+                    [(&shadows.maps, &bindings.blur[0], 1), (&shadows.faces, &bindings.blur[1], 6)]
+                {
+                    let mut lights = plan.lights.iter().filter(|l| l.count == count).peekable();
+                    if lights.peek().is_some() {
+                        let soft = lights.any(|l| plan.views[l.first as usize].softness > 0.0);
+                        blur.record(encoder, groups, kind, soft);
                     }
                 }
             })?;

@@ -153,7 +153,7 @@ mod tests {
             up_scaled: Vec3::Y,
             size: 64,
             forward: Vec3::NEG_Z,
-            light: 0,
+            softness: 0.0,
         };
         let at = |c: Vec3| Aabb { min: c - Vec3::ONE, max: c + Vec3::ONE };
         assert!(may_be_seen(&view, &at(Vec3::new(0.0, 0.0, -5.0))));

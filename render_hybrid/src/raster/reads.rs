@@ -175,8 +175,11 @@ impl GpuRaster {
                     let Some(view) = s.plan.views.first().filter(|_| frame.moments) else {
                         return Ok(Image::new(1, 1));
                     };
-                    let array =
-                        if s.plan.lights[view.light as usize].count == 6 { &s.shadows.faces } else { &s.shadows.maps };
+                    let array = if s.plan.lights.first().is_some_and(|l| l.count == 6) {
+                        &s.shadows.faces
+                    } else {
+                        &s.shadows.maps
+                    };
                     let map: Vec<[f32; 4]> = s.readback.texture(&s.gpu, &array.moments.texture, 0)?;
                     let pixels = map.into_iter().map(|[a, b, ..]| [a, b, 0.0]).collect();
                     return Ok(Image { width: view.size, height: view.size, pixels });

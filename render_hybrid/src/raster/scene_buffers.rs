@@ -134,7 +134,7 @@ impl ShadowViewBytes {
             four(v.origin_world, v.far.to_bits()),
             four(v.right_scaled, v.perspective.to_bits()),
             four(v.up_scaled, v.size),
-            four(v.forward, v.light),
+            four(v.forward, v.softness.to_bits()),
         ];
         Self(bytemuck::cast(rows))
     }

@@ -1,8 +1,8 @@
 //! WGSL sources: imports, constants generated from Rust, dumping.
 
 use crate::twin::{
-    grid,
-    shadow::{EVSM_EXPONENTS, GAUSSIAN_7},
+    grid, penumbra,
+    shadow::{BINOMIAL_3, EVSM_EXPONENTS},
     vpl_maps::{DEPTH_SLACK, NEAREST_PLANE},
 };
 
@@ -100,6 +100,7 @@ pub fn generated_constants() -> String {
     u("NONE", u32::MAX);
     u("COMPACT_BLOCK", COMPACT_BLOCK);
     u("VPL_CHUNK", VPL_CHUNK);
+    u("PENUMBRA_COARSEST", penumbra::COARSEST);
     for (name, kind) in layouts::PACKED_LAYERS {
         u(name, *kind as u32);
     }
@@ -115,6 +116,10 @@ pub fn generated_constants() -> String {
     f("SHADOW_NEAR_FRACTION", SHADOW_NEAR_FRACTION);
     f("EVSM_POSITIVE", EVSM_EXPONENTS[0]);
     f("EVSM_NEGATIVE", EVSM_EXPONENTS[1]);
+    f("BLUR_BESIDE", BINOMIAL_3[0]);
+    f("BLUR_CENTER", BINOMIAL_3[1]);
+    f("PENUMBRA_LEVEL_SIGMA", penumbra::LEVEL_SIGMA);
+    f("PENUMBRA_LEAST_OCCLUDED", penumbra::LEAST_OCCLUDED);
     f("VPL_DEPTH_SLACK", DEPTH_SLACK);
     f("VPL_NEAREST_PLANE_INVERSE", 1.0 / NEAREST_PLANE);
     f("GRID_LEAST_COSINE", grid::LEAST_COSINE);
@@ -130,8 +135,6 @@ pub fn generated_constants() -> String {
     f("TRIANGLE_DET_MAX", flat::DET_MAX);
     // Two products and a difference, each rounded or not: 2^-22 of the products' sum is more than they can be off.
     f("EDGE_DOUBT", 1.0 / 4_194_304.0);
-    let [a, b, c, d] = GAUSSIAN_7;
-    out.push_str(&format!("const GAUSSIAN_7: array<f32, 4> = array<f32, 4>({a:e}, {b:e}, {c:e}, {d:e});\n"));
     out
 }
 

@@ -1,7 +1,10 @@
 //! Textures that live between passes: those of the picture's size, and the shadow moments.
 
 use super::{device::Gpu, shader::COMPACT_BLOCK};
-use crate::{error::RenderError, twin::shadow::ShadowPlan};
+use crate::{
+    error::RenderError,
+    twin::{penumbra::level_count, shadow::ShadowPlan},
+};
 
 /// Linear radiance and positions.
 pub(crate) const RADIANCE_FORMAT: wgpu::TextureFormat = wgpu::TextureFormat::Rgba32Float;
@@ -24,6 +27,19 @@ impl Target {
         usage: wgpu::TextureUsages,
         array: bool,
     ) -> Result<Self, RenderError> {
+        Self::with_levels(gpu, label, [width, height, layers], 1, format, usage, array)
+    }
+
+    /// [`Self::new`] with `levels` mip levels.
+    pub fn with_levels(
+        gpu: &Gpu,
+        label: &str,
+        [width, height, layers]: [u32; 3],
+        levels: u32,
+        format: wgpu::TextureFormat,
+        usage: wgpu::TextureUsages,
+        array: bool,
+    ) -> Result<Self, RenderError> {
         let limits = gpu.device.limits();
         if width.max(height) > limits.max_texture_dimension_2d {
             let most = limits.max_texture_dimension_2d;
@@ -36,7 +52,7 @@ impl Target {
         let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
             label: Some(label),
             size: wgpu::Extent3d { width, height, depth_or_array_layers: layers },
-            mip_level_count: 1,
+            mip_level_count: levels,
             sample_count: 1,
             dimension: wgpu::TextureDimension::D2,
             format,
@@ -59,6 +75,18 @@ impl Target {
             dimension: Some(wgpu::TextureViewDimension::D2),
             base_array_layer: layer,
             array_layer_count: Some(1),
+            mip_level_count: Some(1),
+            ..Default::default()
+        })
+    }
+
+    /// View of one level of all layers, for compute passes.
+    pub fn level_view(&self, label: &str, level: u32) -> wgpu::TextureView {
+        self.texture.create_view(&wgpu::TextureViewDescriptor {
+            label: Some(label),
+            dimension: Some(wgpu::TextureViewDimension::D2Array),
+            base_mip_level: level,
+            mip_level_count: Some(1),
             ..Default::default()
         })
     }
@@ -124,7 +152,7 @@ impl PictureTargets {
 pub(crate) struct MomentTargets {
     /// Texels a side.
     pub size: u32,
-    /// Moments, blurred in the end.
+    /// Moments, blurred in the end, and the further levels of their pyramid.
     pub moments: Target,
     /// Blurred along rows.
     pub scratch: Target,
@@ -137,10 +165,10 @@ impl MomentTargets {
     fn new(gpu: &Gpu, name: &str, size: u32, layers: u32) -> Result<Self, RenderError> {
         use wgpu::TextureUsages as U;
         let array = |label: String, usage| Target::new(gpu, &label, [size, size, layers], MOMENTS_FORMAT, usage, true);
-        let moments = array(
-            format!("{name}.moments"),
-            U::RENDER_ATTACHMENT | U::TEXTURE_BINDING | U::STORAGE_BINDING | U::COPY_SRC,
-        )?;
+        let usage = U::RENDER_ATTACHMENT | U::TEXTURE_BINDING | U::STORAGE_BINDING | U::COPY_SRC;
+        let extent = [size, size, layers];
+        let label = format!("{name}.moments");
+        let moments = Target::with_levels(gpu, &label, extent, level_count(size), MOMENTS_FORMAT, usage, true)?;
         let scratch = array(format!("{name}.scratch"), U::TEXTURE_BINDING | U::STORAGE_BINDING)?;
         let depth_label = format!("{name}.depth");
         let depth = Target::new(gpu, &depth_label, [size, size, 1], DEPTH_FORMAT, U::RENDER_ATTACHMENT, false)?;

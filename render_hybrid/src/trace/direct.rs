@@ -15,6 +15,7 @@ use crate::{
     settings::{MomentOptions, ShadowFilter, Shadows},
     simd::dispatch,
     twin::{
+        penumbra::{MOST_LEVELS, level_count, level_of, level_size, occluder_depth, penumbra_sigma},
         shading::blinn_phong_lobe,
         shadow::{ShadowMaps, ShadowView, chebyshev_upper_bound, cube_face, evsm_floors, evsm_warp},
     },
@@ -197,54 +198,147 @@ dispatch! { fn add => add_body(points: &mut PointBatch) }
 
 /// Sixteen places on shadow maps.
 struct Places {
-    /// First texel: number within the map.
-    first: [u32; LANES],
-    /// Steps to its right and lower neighbour, 0 at the rim.
-    right: [u32; LANES],
-    below: [u32; LANES],
-    fraction: [Lane; 2],
+    /// Position on the map in texels from its corner.
+    at: [Lane; 2],
     depth: Lane,
+    /// Distance from the light over the depth along its axis.
+    slant: Lane,
     inside: [bool; LANES],
 }
 
-/// As [`crate::twin::shadow::shadow_project`] and the first half of [`ShadowMaps::sample`].
+/// As [`crate::twin::shadow::shadow_project`].
 #[inline(always)]
 fn project(view: impl Fn(usize) -> ShadowView, p: &[Lane; 3]) -> Places {
-    let mut out = Places {
-        first: [0; LANES],
-        right: [0; LANES],
-        below: [0; LANES],
-        fraction: [[0.0; LANES]; 2],
-        depth: [0.0; LANES],
-        inside: [false; LANES],
-    };
+    let zero = [0.0; LANES];
+    let mut out = Places { at: [zero; 2], depth: zero, slant: zero, inside: [false; LANES] };
     for lane in 0..LANES {
         let view = view(lane);
         let (o, f, r, u) = (view.origin_world, view.forward, view.right_scaled, view.up_scaled);
         let (x, y, z) = (p[0][lane] - o.x, p[1][lane] - o.y, p[2][lane] - o.z);
         let along = (f.x * x + f.y * y) + f.z * z;
-        let w = if view.perspective > 0.5 { along } else { 1.0 };
+        let perspective = view.perspective > 0.5;
+        let w = if perspective { along } else { 1.0 };
         let in_front = w > 0.0;
         let inverse = 1.0 / if in_front { w } else { 1.0 };
         let a = 0.5 + 0.5 * (((r.x * x + r.y * y) + r.z * z) * inverse);
         let b = 0.5 - 0.5 * (((u.x * x + u.y * y) + u.z * z) * inverse);
         out.depth[lane] = along / view.far;
+        out.slant[lane] = if perspective { ((x * x + y * y) + z * z).sqrt() * inverse } else { 1.0 };
         out.inside[lane] = in_front & (a >= 0.0) & (b >= 0.0) & (a <= 1.0) & (b <= 1.0);
-        let (size, top) = (view.size as f32, (view.size - 1) as f32);
-        let clamped = |uv: f32| {
-            let c = uv * size - 0.5;
-            let c = if c > 0.0 { c } else { 0.0 };
-            if c < top { c } else { top }
-        };
-        let (a, b) = (clamped(a), clamped(b));
-        let (i, j) = (a as u32, b as u32);
-        out.fraction[0][lane] = a - i as f32;
-        out.fraction[1][lane] = b - j as f32;
-        out.first[lane] = j * view.size + i;
-        out.right[lane] = u32::from(i + 1 < view.size);
-        out.below[lane] = if j + 1 < view.size { view.size } else { 0 };
+        let size = view.size as f32;
+        (out.at[0][lane], out.at[1][lane]) = (a * size, b * size);
     }
     out
+}
+
+/// A level of a map's pyramid.
+#[derive(Clone, Copy)]
+struct Level<'a> {
+    texels: &'a [[f32; 4]],
+    size: u32,
+    /// Of the map's texels, one of its own.
+    share: f32,
+}
+
+/// The levels of a map; those beyond `count` are the first.
+#[inline(always)]
+fn levels_of<'a>(maps: &'a ShadowMaps, number: usize) -> [Level<'a>; MOST_LEVELS] {
+    let full = maps.plan.views[number].size;
+    let map = maps.maps[number].as_slice();
+    let mut rest = maps.coarser[number].as_slice();
+    let mut out = [Level { texels: map, size: full, share: 1.0 }; MOST_LEVELS];
+    if !rest.is_empty() {
+        for level in 1..level_count(full) {
+            let size = level_size(full, level);
+            let (texels, after) = rest.split_at((size * size) as usize);
+            out[level as usize] = Level { texels, size, share: 1.0 / (1u32 << level) as f32 };
+            rest = after;
+        }
+    }
+    out
+}
+
+/// [`ShadowMaps::sample`].
+#[inline(always)]
+fn sample(level: &Level, x: f32, y: f32) -> Vec4 {
+    let top = (level.size - 1) as f32;
+    let clamped = |v: f32| {
+        let c = v * level.share - 0.5;
+        let c = if c > 0.0 { c } else { 0.0 };
+        if c < top { c } else { top }
+    };
+    let (x, y) = (clamped(x), clamped(y));
+    let (i, j) = (x as u32, y as u32);
+    let (fx, fy) = (x - i as f32, y - j as f32);
+    let first = (j * level.size + i) as usize;
+    let right = usize::from(i + 1 < level.size);
+    let below = if j + 1 < level.size { level.size as usize } else { 0 };
+    let texel = |i: usize| Vec4::from_array(level.texels[i]);
+    let (a, b) = (texel(first), texel(first + right));
+    let (c, d) = (texel(first + below), texel(first + below + right));
+    let (upper, lower) = (a + (b - a) * fx, c + (d - c) * fx);
+    upper + (lower - upper) * fy
+}
+
+/// Moments at sixteen places as wide as their penumbrae: [`ShadowMaps::visibility`]'s.
+#[inline(always)]
+fn soft_moments<'a>(
+    levels: impl Fn(usize) -> &'a [Level<'a>; MOST_LEVELS],
+    view: &ShadowView,
+    places: &Places,
+    options: &MomentOptions,
+) -> [Lane; 4] {
+    let mut moments = [[0.0f32; LANES]; 4];
+    let set = |moments: &mut [Lane; 4], lane: usize, m: Vec4| {
+        let m = m.to_array();
+        for c in 0..4 {
+            moments[c][lane] = m[c];
+        }
+    };
+    let at = |lane: usize| (places.at[0][lane], places.at[1][lane]);
+    if !(view.softness > 0.0) {
+        for lane in (0..LANES).filter(|l| places.inside[*l]) {
+            let (x, y) = at(lane);
+            set(&mut moments, lane, sample(&levels(lane)[0], x, y));
+        }
+        return moments;
+    }
+    let (count, perspective) = (level_count(view.size), view.perspective > 0.5);
+    let (mut level, mut fraction) = ([0u32; LANES], [0.0f32; LANES]);
+    let mut choose = |occluder: &Lane, level: &mut [u32; LANES]| {
+        for lane in 0..LANES {
+            let (slant, receiver) = (places.slant[lane], places.depth[lane]);
+            let sigma = penumbra_sigma(view.softness, perspective, slant, occluder[lane], receiver);
+            (level[lane], fraction[lane]) = level_of(sigma, count);
+        }
+        fraction
+    };
+    let mut half = [0.0f32; LANES];
+    for lane in 0..LANES {
+        half[lane] = 0.5 * places.depth[lane];
+    }
+    let part = choose(&half, &mut level);
+    for lane in (0..LANES).filter(|l| places.inside[*l]) {
+        let (x, y) = at(lane);
+        let nearest = level[lane] as usize + usize::from(part[lane] >= 0.5);
+        set(&mut moments, lane, sample(&levels(lane)[nearest], x, y));
+    }
+    let mut occluder = [0.0f32; LANES];
+    for lane in 0..LANES {
+        let [a, b, c, d] = moments;
+        let m = Vec4::new(a[lane], b[lane], c[lane], d[lane]);
+        occluder[lane] = occluder_depth(options.filter, m, places.depth[lane], options.min_variance);
+    }
+    let part = choose(&occluder, &mut level);
+    for lane in (0..LANES).filter(|l| places.inside[*l]) {
+        let ((x, y), own) = (at(lane), levels(lane));
+        let mut m = sample(&own[level[lane] as usize], x, y);
+        if part[lane] > 0.0 {
+            m += (sample(&own[level[lane] as usize + 1], x, y) - m) * part[lane];
+        }
+        set(&mut moments, lane, m);
+    }
+    moments
 }
 
 /// [`chebyshev_upper_bound`] of sixteen points.
@@ -261,6 +355,9 @@ fn chebyshev(mean: &Lane, square: &Lane, t: &Lane, floor: &Lane, reduction: f32)
 fn add_filtered_body(points: &mut PointBatch, maps: &ShadowMaps, index: u32, light: &Light, options: &MomentOptions) {
     let own = maps.plan.lights[index as usize];
     let (floor, reduction) = (options.min_variance, options.light_bleed_reduction);
+    // All views of a light are of one size and softness.
+    let view = maps.plan.views[own.first as usize];
+    let levels: [_; 6] = std::array::from_fn(|i| levels_of(maps, own.first as usize + i.min(own.count as usize - 1)));
     for at in (0..points.len()).step_by(LANES) {
         let unshadowed = lanes(&points.unshadowed, at);
         let mut any = 0;
@@ -279,25 +376,9 @@ fn add_filtered_body(points: &mut PointBatch, maps: &ShadowMaps, index: u32, lig
             }
             project(|lane| maps.plan.views[number[lane] as usize], &p)
         } else {
-            let view = maps.plan.views[own.first as usize];
             project(|_| view, &p)
         };
-        let mut moments = [[0.0f32; LANES]; 4];
-        for lane in 0..LANES {
-            if places.inside[lane] {
-                let map = maps.maps[number[lane] as usize].as_slice();
-                let first = places.first[lane] as usize;
-                let (right, below) = (places.right[lane] as usize, places.below[lane] as usize);
-                let texel = |i: usize| Vec4::from_array(map[i]);
-                let (fx, fy) = (places.fraction[0][lane], places.fraction[1][lane]);
-                let (a, b) = (texel(first), texel(first + right));
-                let (c, d) = (texel(first + below), texel(first + below + right));
-                let (upper, lower) = (a + (b - a) * fx, c + (d - c) * fx);
-                let [m0, m1, m2, m3] = (upper + (lower - upper) * fy).to_array();
-                (moments[0][lane], moments[1][lane]) = (m0, m1);
-                (moments[2][lane], moments[3][lane]) = (m2, m3);
-            }
-        }
+        let moments = soft_moments(|lane| &levels[(number[lane] - own.first) as usize], &view, &places, options);
         let visibility = match options.filter {
             ShadowFilter::Vsm => chebyshev(&moments[0], &moments[1], &places.depth, &[floor; LANES], reduction),
             ShadowFilter::Evsm4 => {

@@ -6,6 +6,7 @@ pub mod gbuffer;
 pub mod grid;
 pub mod interleave;
 pub mod moments;
+pub mod penumbra;
 pub mod scan;
 pub mod shading;
 pub mod shadow;

@@ -1,4 +1,5 @@
-//! Shadow moments on the CPU: depth by scan conversion, then a separable 7x7 Gaussian while the rows are hot.
+//! Shadow moments on the CPU: depth by scan conversion, then a separable 3x3 binomial while the rows are hot, and the
+//! further levels of the pyramid.
 //!
 //! Twins: `shaders/moments.wgsl`, `shaders/moments_blur.wgsl`.
 
@@ -7,8 +8,9 @@ use rayon::prelude::*;
 use std::sync::Mutex;
 
 use super::{
+    penumbra,
     scan::{BLOCK, ScanList, ScanView, TileBuffers},
-    shadow::{GAUSSIAN_7, ShadowMaps, ShadowPlan, moments_of},
+    shadow::{BINOMIAL_3, ShadowMaps, ShadowPlan, moments_of},
     tile::TileRect,
 };
 use crate::{
@@ -23,7 +25,7 @@ use crate::{
 const BAND: usize = 64;
 
 /// Rows beside a row that its blur reads.
-const REACH: usize = 3;
+const REACH: usize = 1;
 
 /// Memory kept between frames.
 #[derive(Debug, Default)]
@@ -48,7 +50,7 @@ struct BandScratch {
     depths: TileBuffers,
     /// Unfiltered moments of one row.
     row: Vec<[f32; 4]>,
-    /// Rows blurred sideways: a ring of seven.
+    /// Rows blurred sideways: a ring of three.
     ring: [Vec<[f32; 4]>; 2 * REACH + 1],
 }
 
@@ -66,6 +68,7 @@ pub fn render_moments(
     std::mem::swap(&mut maps.plan, plan);
     scratch.made_of.resize_with(maps.plan.views.len(), CastBy::default);
     maps.maps.resize_with(maps.plan.views.len(), Vec::new);
+    maps.coarser.resize_with(maps.plan.views.len(), Vec::new);
     let certified = settings.shadows == Shadows::Certified;
     maps.pyramids.resize_with(if certified { maps.plan.views.len() } else { 0 }, Default::default);
     scratch.bands.resize_with(rayon::current_num_threads(), Mutex::default);
@@ -75,7 +78,7 @@ pub fn render_moments(
         settings.glass_shadows == GlassShadows::Opaque || m.transmission <= 0.0
     };
     let mut texels = 0;
-    for (i, (view, map)) in maps.plan.views.iter().zip(&mut maps.maps).enumerate() {
+    for (i, ((view, map), coarser)) in maps.plan.views.iter().zip(&mut maps.maps).zip(&mut maps.coarser).enumerate() {
         let size = view.size as usize;
         map.resize(size * size, [1.0; 4]);
         let scan = ScanView::of_shadow(view);
@@ -95,8 +98,11 @@ pub fn render_moments(
             let mut scratch = bands[own].lock().unwrap_or_else(std::sync::PoisonError::into_inner);
             pass.band(&mut scratch, band * BAND, rows, filter);
         });
+        coarser.clear();
         if certified {
             maps.pyramids[i].build(size, map.iter().map(|m| m[0]));
+        } else if view.softness > 0.0 {
+            penumbra::make_levels(map, view.size, coarser);
         }
     }
     // Which thread gets which band is chance; memory for it must not be.
@@ -146,12 +152,12 @@ impl Pass<'_> {
             let row = &s.depths.nearness[depths(&s.depths, y)];
             moments_row(self.level, &mut s.row, row, filter, parallel, self.far);
             blur_row(self.level, &mut s.ring[y % ring], &s.row);
-            // The row that now has all seven of its neighbours; at the map's lower rim, all that are left.
+            // The row that now has both of its neighbours; at the map's lower rim, all that are left.
             let last = if y + 1 == size { y + 1 } else { (y + 1).saturating_sub(REACH) };
             for done in (y.saturating_sub(REACH)..last).filter(|d| (y0..y0 + height).contains(d)) {
                 let tap = |k: usize| &s.ring[(done + k).saturating_sub(REACH).min(size - 1) % ring][..];
                 let out = &mut rows[(done - y0) * size..][..size];
-                blur_column(self.level, out, [tap(0), tap(1), tap(2), tap(3), tap(4), tap(5), tap(6)]);
+                blur_column(self.level, out, [tap(0), tap(1), tap(2)]);
             }
         }
     }
@@ -188,56 +194,56 @@ dispatch! {
     )
 }
 
-/// The seven taps in one fixed order: outermost pair first.
+/// The three taps in one fixed order: the outer pair first.
 #[inline(always)]
-fn seven_taps(t: [f32; 7]) -> f32 {
-    let [w3, w2, w1, w0] = GAUSSIAN_7;
-    (t[0] + t[6]) * w3 + (t[1] + t[5]) * w2 + (t[2] + t[4]) * w1 + t[3] * w0
+fn three_taps(t: [f32; 3]) -> f32 {
+    let [w1, w0] = BINOMIAL_3;
+    (t[0] + t[2]) * w1 + t[1] * w0
 }
 
 #[inline(always)]
 fn blur_row_body(out: &mut [[f32; 4]], row: &[[f32; 4]]) {
     let n = row.len();
-    for x in (0..3.min(n)).chain(n.saturating_sub(3).max(3.min(n))..n) {
+    for x in [0, n - 1] {
         for c in 0..4 {
-            let tap = |k: usize| row[(x + k).saturating_sub(3).min(n - 1)][c];
-            out[x][c] = seven_taps([tap(0), tap(1), tap(2), tap(3), tap(4), tap(5), tap(6)]);
+            let tap = |k: usize| row[(x + k).saturating_sub(REACH).min(n - 1)][c];
+            out[x][c] = three_taps([tap(0), tap(1), tap(2)]);
         }
     }
-    if n < 7 {
+    if n < 3 {
         return;
     }
     // Flat: four channels side by side, so that a tap is four numbers on.
     let (out, row) = (out.as_flattened_mut(), row.as_flattened());
-    let len = 4 * (n - 6);
-    let out = &mut out[12..12 + len];
+    let len = 4 * (n - 2);
+    let out = &mut out[4..4 + len];
     let tap = |k: usize| &row[4 * k..4 * k + len];
-    let t = [tap(0), tap(1), tap(2), tap(3), tap(4), tap(5), tap(6)];
+    let t = [tap(0), tap(1), tap(2)];
     for i in 0..len {
-        out[i] = seven_taps([t[0][i], t[1][i], t[2][i], t[3][i], t[4][i], t[5][i], t[6][i]]);
+        out[i] = three_taps([t[0][i], t[1][i], t[2][i]]);
     }
 }
 
 #[inline(always)]
-fn blur_column_body(out: &mut [[f32; 4]], rows: [&[[f32; 4]]; 7]) {
+fn blur_column_body(out: &mut [[f32; 4]], rows: [&[[f32; 4]]; 3]) {
     let out = out.as_flattened_mut();
     let n = out.len();
     let flat = |k: usize| &rows[k].as_flattened()[..n];
-    let t = [flat(0), flat(1), flat(2), flat(3), flat(4), flat(5), flat(6)];
+    let t = [flat(0), flat(1), flat(2)];
     for i in 0..n {
-        out[i] = seven_taps([t[0][i], t[1][i], t[2][i], t[3][i], t[4][i], t[5][i], t[6][i]]);
+        out[i] = three_taps([t[0][i], t[1][i], t[2][i]]);
     }
 }
 
 dispatch! { fn blur_row => blur_row_body(out: &mut [[f32; 4]], row: &[[f32; 4]]) }
-dispatch! { fn blur_column => blur_column_body(out: &mut [[f32; 4]], rows: [&[[f32; 4]]; 7]) }
+dispatch! { fn blur_column => blur_column_body(out: &mut [[f32; 4]], rows: [&[[f32; 4]]; 3]) }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
     #[test]
-    fn blur_is_the_direct_sum_over_49_taps() {
+    fn blur_is_the_direct_sum_over_nine_taps() {
         let size = 20usize;
         let map: Vec<[f32; 4]> = (0..size * size)
             .map(|i| {
@@ -253,15 +259,15 @@ mod tests {
         let sideways: Vec<_> = (0..size).map(row).collect();
         let mut blurred = vec![[0.0; 4]; size * size];
         for y in 0..size {
-            let taps = std::array::from_fn(|k| sideways[(y + k).saturating_sub(3).min(size - 1)].as_slice());
+            let taps = std::array::from_fn(|k| sideways[(y + k).saturating_sub(REACH).min(size - 1)].as_slice());
             blur_column(SimdLevel::Portable, &mut blurred[y * size..(y + 1) * size], taps);
         }
-        let weight = |k: i32| GAUSSIAN_7[(3 - k.abs()) as usize];
+        let weight = |k: i32| BINOMIAL_3[(1 - k.abs()) as usize];
         for y in 0..size as i32 {
             for x in 0..size as i32 {
                 let mut sum = [0.0f64; 4];
-                for dy in -3..=3 {
-                    for dx in -3..=3 {
+                for dy in -1..=1 {
+                    for dx in -1..=1 {
                         let cx = (x + dx).clamp(0, size as i32 - 1);
                         let cy = (y + dy).clamp(0, size as i32 - 1);
                         for c in 0..4 {

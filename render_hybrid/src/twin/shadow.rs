@@ -6,20 +6,23 @@
 use catoptra_engine::{Aabb, Light, LightKind, math};
 use glam::{Vec2, Vec3, Vec4, Vec4Swizzles};
 
-use super::certified::DepthPyramid;
+use super::{
+    certified::DepthPyramid,
+    penumbra::{self, level_count, level_of, level_size, occluder_depth, penumbra_sigma},
+};
 use crate::settings::{MomentOptions, ShadowFilter};
 
-/// Texels a map keeps beyond the light's own frustum, so that the 7x7 blur and bilinear filtering at its rim read true
-/// depths: 3 of the blur, 1 of the filter.
+/// Texels a map keeps beyond the light's own frustum, so that the blur and bilinear filtering at its rim read true
+/// depths: 1 of the blur, 1 of the filter, and some for coarser levels.
 pub const GUARD_TEXELS: u32 = 4;
 
 /// Spots with a wider outer angle get six faces like a point light: a single plane would waste its texels.
 pub const WIDEST_SPOT_DEGREES: f32 = 70.0;
 
-/// Weights of the 7-tap Gaussian (σ = 1.5 texels), sum 1, centre last: [±3, ±2, ±1, 0].
+/// Weights of the blur, centre last: [±1, 0]. No wider than what hides the texels; penumbrae are the pyramid's.
 ///
 /// Twin: generated into `shaders/moments_blur.wgsl`.
-pub const GAUSSIAN_7: [f32; 4] = [0.036_632_847, 0.111_280_75, 0.216_745_32, 0.270_682_17];
+pub const BINOMIAL_3: [f32; 2] = [0.25, 0.5];
 
 /// A plane of texels that a light looks through.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -39,8 +42,8 @@ pub struct ShadowView {
     pub size: u32,
     /// Unit viewing direction.
     pub forward: Vec3,
-    /// Which light it belongs to.
-    pub light: u32,
+    /// σ of a penumbra in texels, over what [`super::penumbra::penumbra_sigma`] says; 0: the light is a point.
+    pub softness: f32,
 }
 
 /// A point as a light sees it.
@@ -199,16 +202,18 @@ impl ShadowPlan {
         let plan = self;
         plan.views.clear();
         plan.lights.clear();
-        for (index, light) in lights.iter().enumerate() {
+        for light in lights {
             let first = plan.views.len() as u32;
-            let index = index as u32;
             let wide = |cos_outer: f32| cos_outer < math::cos(WIDEST_SPOT_DEGREES.to_radians());
             match light.kind {
                 LightKind::Spot { cos_outer, .. } if !wide(cos_outer) => {
-                    plan.views.push(spot_view(light, index, cos_outer, bounds_world, options.size));
+                    plan.views.push(spot_view(light, cos_outer, bounds_world, options.size));
                 }
-                LightKind::Directional => plan.views.push(directional_view(light, index, bounds_world, options.size)),
-                _ => plan.views.extend(point_views(light, index, bounds_world, options.face_size)),
+                LightKind::Directional => plan.views.push(directional_view(light, bounds_world, options.size)),
+                _ => plan.views.extend(point_views(light, bounds_world, options.face_size)),
+            }
+            for view in &mut plan.views[first as usize..] {
+                view.softness = penumbra::softness(view, light.radius);
             }
             plan.lights.push(LightMaps { first, count: plan.views.len() as u32 - first });
         }
@@ -237,7 +242,7 @@ fn farthest(origin: Vec3, forward: Vec3, bounds: Aabb) -> f32 {
     (far * 1.01).max(bounds.radius() * 1e-3).max(f32::MIN_POSITIVE)
 }
 
-fn spot_view(light: &Light, index: u32, cos_outer: f32, bounds: Aabb, size: u32) -> ShadowView {
+fn spot_view(light: &Light, cos_outer: f32, bounds: Aabb, size: u32) -> ShadowView {
     let forward = light.direction_world;
     let right = forward.cross(light.up_world).normalize_or(math::orthonormal_basis(forward).0);
     let up = right.cross(forward);
@@ -251,11 +256,11 @@ fn spot_view(light: &Light, index: u32, cos_outer: f32, bounds: Aabb, size: u32)
         up_scaled: up / half,
         size,
         forward,
-        light: index,
+        softness: 0.0,
     }
 }
 
-fn directional_view(light: &Light, index: u32, bounds: Aabb, size: u32) -> ShadowView {
+fn directional_view(light: &Light, bounds: Aabb, size: u32) -> ShadowView {
     let forward = light.direction_world;
     let right = forward.cross(light.up_world).normalize_or(math::orthonormal_basis(forward).0);
     let up = right.cross(forward);
@@ -278,11 +283,11 @@ fn directional_view(light: &Light, index: u32, bounds: Aabb, size: u32) -> Shado
         up_scaled: up / guarded(half.y, size),
         size,
         forward,
-        light: index,
+        softness: 0.0,
     }
 }
 
-fn point_views(light: &Light, index: u32, bounds: Aabb, size: u32) -> [ShadowView; 6] {
+fn point_views(light: &Light, bounds: Aabb, size: u32) -> [ShadowView; 6] {
     const FACES: [(Vec3, Vec3); 6] = [
         (Vec3::X, Vec3::Y),
         (Vec3::NEG_X, Vec3::Y),
@@ -301,7 +306,7 @@ fn point_views(light: &Light, index: u32, bounds: Aabb, size: u32) -> [ShadowVie
             up_scaled: up / half,
             size,
             forward,
-            light: index,
+            softness: 0.0,
         }
     })
 }
@@ -313,20 +318,46 @@ pub struct ShadowMaps {
     pub plan: ShadowPlan,
     /// One map a view: filtered [`moments_of`] per texel, row 0 on top.
     pub maps: Vec<Vec<[f32; 4]>>,
+    /// The further levels of each map's pyramid, one after the other; empty where the light is a point.
+    pub coarser: Vec<Vec<[f32; 4]>>,
     /// One a view where shadows are certified, in place of `maps`.
     pub pyramids: Vec<DepthPyramid>,
 }
 
 impl ShadowMaps {
-    /// Bilinearly filtered moments at `uv`, clamped at the rim.
+    /// Makes the further levels of all maps whose light has a disc.
+    pub fn make_levels(&mut self) {
+        self.coarser.resize_with(self.maps.len(), Vec::new);
+        for ((view, map), coarser) in self.plan.views.iter().zip(&self.maps).zip(&mut self.coarser) {
+            if view.softness > 0.0 && !map.is_empty() {
+                penumbra::make_levels(map, view.size, coarser);
+            } else {
+                coarser.clear();
+            }
+        }
+    }
+
+    /// A level of a view's pyramid.
+    fn level(&self, view: u32, level: u32) -> &[[f32; 4]] {
+        let size = self.plan.views[view as usize].size;
+        let area = |l: u32| (level_size(size, l) as usize).pow(2);
+        match level {
+            0 => &self.maps[view as usize],
+            _ => &self.coarser[view as usize][(1..level).map(area).sum()..][..area(level)],
+        }
+    }
+
+    /// Bilinearly filtered moments of a level of the pyramid at `uv`, clamped at the rim.
     ///
     /// Twin: `shaders/shared/shadow.wgsl` (filtered by hand there too: RG32F filtering is optional in wgpu).
     #[inline]
-    pub fn sample(&self, view: u32, uv: Vec2) -> Vec4 {
-        let size = self.plan.views[view as usize].size;
-        let map = &self.maps[view as usize];
+    pub fn sample(&self, view: u32, uv: Vec2, level: u32) -> Vec4 {
+        let full = self.plan.views[view as usize].size;
+        let (size, map) = (level_size(full, level), self.level(view, level));
         let top = size as f32 - 1.0;
-        let p = (uv * size as f32 - 0.5).clamp(Vec2::ZERO, Vec2::splat(top));
+        // Texel i of a level covers 2^l texels from 2^l · i on.
+        let share = 1.0 / (1u32 << level) as f32;
+        let p = (uv * full as f32 * share - 0.5).clamp(Vec2::ZERO, Vec2::splat(top));
         let (x0, y0) = (p.x as u32, p.y as u32);
         let (x1, y1) = ((x0 + 1).min(size - 1), (y0 + 1).min(size - 1));
         let (fx, fy) = (p.x - x0 as f32, p.y - y0 as f32);
@@ -334,6 +365,28 @@ impl ShadowMaps {
         let a = at(x0, y0) + (at(x1, y0) - at(x0, y0)) * fx;
         let b = at(x0, y1) + (at(x1, y1) - at(x0, y1)) * fx;
         a + (b - a) * fy
+    }
+
+    /// Moments at a receiver, filtered as widely as the light's disc spreads what shadows it.
+    ///
+    /// Twin: `shaders/shared/shadow.wgsl`.
+    #[inline]
+    fn soft_moments(&self, number: u32, point_world: Vec3, c: &ShadowCoord, options: &MomentOptions) -> Vec4 {
+        let view = &self.plan.views[number as usize];
+        if !(view.softness > 0.0) {
+            return self.sample(number, c.uv, 0);
+        }
+        let levels = level_count(view.size);
+        let perspective = view.perspective > 0.5;
+        let v = point_world - view.origin_world;
+        let slant = if perspective { v.length() / (c.depth * view.far) } else { 1.0 };
+        let sigma = |occluder: f32| penumbra_sigma(view.softness, perspective, slant, occluder, c.depth);
+        let (level, fraction) = level_of(sigma(0.5 * c.depth), levels);
+        let search = self.sample(number, c.uv, if fraction >= 0.5 { level + 1 } else { level });
+        let occluder = occluder_depth(options.filter, search, c.depth, options.min_variance);
+        let (level, fraction) = level_of(sigma(occluder), levels);
+        let fine = self.sample(number, c.uv, level);
+        if fraction > 0.0 { fine + (self.sample(number, c.uv, level + 1) - fine) * fraction } else { fine }
     }
 
     /// Visibility of a light from a point, in [0, 1]; 1 outside the map.
@@ -347,7 +400,7 @@ impl ShadowMaps {
         if !inside {
             return 1.0;
         }
-        let moments = self.sample(view, c.uv);
+        let moments = self.soft_moments(view, point_world, &c, options);
         let (floor, reduction) = (options.min_variance, options.light_bleed_reduction);
         match options.filter {
             ShadowFilter::Vsm => chebyshev_upper_bound(moments.xy(), c.depth, floor, reduction),
@@ -388,12 +441,6 @@ mod tests {
         assert!(evsm < 0.002, "{evsm}");
         // Fully lit at its own depth.
         assert_eq!(evsm_visibility(Vec4::from(moments_of(ShadowFilter::Evsm4, 0.4)), 0.4, 2e-7, 0.2), 1.0);
-    }
-
-    #[test]
-    fn gaussian_sums_to_one() {
-        let sum: f32 = GAUSSIAN_7[..3].iter().sum::<f32>() * 2.0 + GAUSSIAN_7[3];
-        assert!((sum - 1.0).abs() < 1e-6, "{sum}");
     }
 
     #[test]

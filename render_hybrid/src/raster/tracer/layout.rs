@@ -180,7 +180,7 @@ pub(crate) fn view_words(view: &ShadowView) -> [Word; VIEW_WORDS as usize] {
         word(view.origin_world.to_array(), view.far.to_bits()),
         word(view.right_scaled.to_array(), view.perspective.to_bits()),
         word(view.up_scaled.to_array(), view.size),
-        word(view.forward.to_array(), view.light),
+        word(view.forward.to_array(), view.softness.to_bits()),
     ]
 }
 

@@ -19,6 +19,7 @@ use crate::{
         shader::VPL_CHUNK,
         testing::LitBy,
     },
+    twin::penumbra::level_count,
 };
 
 /// Bindings of group 1 from 2 on: moments of single views and of six, VPLs' maps. Where the pixels' kernel has them.
@@ -113,24 +114,30 @@ impl HeldScene {
 }
 
 fn textures(gpu: &Gpu, lit: &LitBy) -> [wgpu::TextureView; 3] {
-    let texture = |width: u32, height: u32, layers: &[&[u8]], format, bytes: u32| {
+    let texture = |width: u32, height: u32, levels: u32, layers: &[&[u8]], format, bytes: u32| {
         let size = wgpu::Extent3d { width, height, depth_or_array_layers: layers.len().max(1) as u32 };
         let texture = gpu.device.create_texture(&wgpu::TextureDescriptor {
             label: Some("probe.maps"),
             size,
-            mip_level_count: 1,
+            mip_level_count: levels,
             sample_count: 1,
             dimension: wgpu::TextureDimension::D2,
             format,
             usage: wgpu::TextureUsages::TEXTURE_BINDING | wgpu::TextureUsages::COPY_DST,
             view_formats: &[],
         });
-        for (layer, data) in (0..).zip(layers) {
-            let mut place = texture.as_image_copy();
-            place.origin.z = layer;
-            let rows =
-                wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(width * bytes), rows_per_image: None };
-            gpu.queue.write_texture(place, data, rows, wgpu::Extent3d { depth_or_array_layers: 1, ..size });
+        for (layer, mut data) in (0..).zip(layers.iter().copied()) {
+            // All levels, one after the other; where there is but one, the others are not read.
+            for level in (0..levels).take_while(|l| *l == 0 || !data.is_empty()) {
+                let (width, height) = (width >> level, height >> level);
+                let (own, rest) = data.split_at((width * height * bytes) as usize);
+                let mut place = texture.as_image_copy();
+                (place.origin.z, place.mip_level) = (layer, level);
+                let rows =
+                    wgpu::TexelCopyBufferLayout { offset: 0, bytes_per_row: Some(width * bytes), rows_per_image: None };
+                gpu.queue.write_texture(place, own, rows, wgpu::Extent3d { width, height, depth_or_array_layers: 1 });
+                data = rest;
+            }
         }
         texture
     };
@@ -139,16 +146,17 @@ fn textures(gpu: &Gpu, lit: &LitBy) -> [wgpu::TextureView; 3] {
         let of_light = plan.lights.iter().filter(|l| (l.count == 6) == six).flat_map(|l| l.first..l.first + l.count);
         let views: Vec<u32> = of_light.filter(|v| (*v as usize) < lit.maps.maps.len()).collect();
         let side = views.first().map_or(1, |v| plan.views[*v as usize].size);
-        let layers: Vec<&[u8]> = views.iter().map(|v| bytemuck::cast_slice(&lit.maps.maps[*v as usize])).collect();
-        texture(side, side, &layers, wgpu::TextureFormat::Rgba32Float, 16).create_view(&wgpu::TextureViewDescriptor {
-            dimension: Some(wgpu::TextureViewDimension::D2Array),
-            ..Default::default()
-        })
+        let of_view = |v: &u32| [lit.maps.maps[*v as usize].as_slice(), &lit.maps.coarser[*v as usize]].concat();
+        let layers: Vec<Vec<[f32; 4]>> = views.iter().map(of_view).collect();
+        let layers: Vec<&[u8]> = layers.iter().map(|l| bytemuck::cast_slice(l)).collect();
+        texture(side, side, level_count(side), &layers, wgpu::TextureFormat::Rgba32Float, 16).create_view(
+            &wgpu::TextureViewDescriptor { dimension: Some(wgpu::TextureViewDimension::D2Array), ..Default::default() },
+        )
     };
     // A row a map.
     let (width, height) = ((lit.vpl_maps.size * lit.vpl_maps.size).max(1), lit.vpls.len().max(1) as u32);
     let texels: &[u8] = bytemuck::cast_slice(&lit.vpl_maps.texels);
     let rows: &[&[u8]] = if texels.is_empty() { &[] } else { &[texels] };
-    let maps = texture(width, height, rows, wgpu::TextureFormat::R32Float, 4);
+    let maps = texture(width, height, 1, rows, wgpu::TextureFormat::R32Float, 4);
     [moments(false), moments(true), maps.create_view(&Default::default())]
 }

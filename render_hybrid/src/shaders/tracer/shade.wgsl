@@ -18,7 +18,7 @@ fn read_view(view: u32) -> ShadowView {
     let c = dynamic_word(at + 2u);
     let d = dynamic_word(at + 3u);
     return ShadowView(
-        float3(a), bitcast<f32>(a.w), float3(b), bitcast<f32>(b.w), float3(c), c.w, float3(d), d.w);
+        float3(a), bitcast<f32>(a.w), float3(b), bitcast<f32>(b.w), float3(c), c.w, float3(d), bitcast<f32>(d.w));
 }
 
 fn read_vpl(vpl: u32) -> Vpl {
