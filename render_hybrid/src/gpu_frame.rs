@@ -184,7 +184,7 @@ fn trace_here(
     ms: &mut StageTimes,
     clock: &mut Clock,
 ) -> Result<(), RenderError> {
-    let masked = fetch(state, gpu, wanted.settings, plan, ms, clock)?;
+    let masked = fetch(state, gpu, wanted.level, wanted.settings, plan, ms, clock)?;
     stats.masked_pixels = masked.len() as u64;
     let traced = clock.run("trace", &mut ms.traced, || trace_masked(state, wanted, state.serial, &masked, stats));
     clock.run("send traced", &mut ms.transfer, || gpu.record_compose(&traced))
@@ -231,7 +231,7 @@ fn beside_the_last(
     let mut ms = StageTimes::default();
     let (_, other) = gpu.timing_slots();
     let masked = match &late {
-        Some(late) => fetch(state, gpu, &late.settings, &late.plan, &mut ms, clock)?,
+        Some(late) => fetch(state, gpu, level, &late.settings, &late.plan, &mut ms, clock)?,
         None => Vec::new(),
     };
     let plan = shadow_plan(scene, settings);
@@ -424,6 +424,7 @@ fn light_paths(state: &mut FrameState, scene: &RenderScene, settings: &RenderSet
 fn fetch(
     state: &mut FrameState,
     gpu: &mut GpuRaster,
+    level: SimdLevel,
     settings: &RenderSettings,
     plan: &ShadowPlan,
     ms: &mut StageTimes,
@@ -433,7 +434,7 @@ fn fetch(
     if settings.traced && !masked.is_empty() && settings.shadows == Shadows::Moments {
         state.maps.plan.clone_from(plan);
         clock.run("read moments", &mut ms.transfer, || gpu.read_moments_into(&mut state.maps.maps))?;
-        state.maps.make_levels();
+        state.maps.make_levels(level);
         state.moments.forget();
     }
     Ok(masked)

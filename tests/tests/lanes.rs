@@ -3,7 +3,8 @@
 use catoptra_demos::scenes;
 use catoptra_engine::{Extracted, RenderScene, app};
 use catoptra_render_hybrid::{
-    Frame, Layer, RasterLane, RenderSettings, Renderer, RendererOptions, Shadows, Tracer, VplOptions, VplShadows,
+    Frame, Layer, RasterLane, RenderSettings, Renderer, RendererOptions, ShadowFilter, Shadows, Tracer, VplOptions,
+    VplShadows,
     metrics::{Comparison, compare},
     raster::GpuRaster,
 };
@@ -68,6 +69,35 @@ fn lanes_agree_on_every_scene_and_layer() {
             assert!(off * 1000 <= da.pixels.len(), "{} frame {frame}: {off} depths differ", info.name);
             let (ma, mb) = (a.stats.masked_pixels, b.stats.masked_pixels);
             assert!(ma.abs_diff(mb) * 200 <= ma, "{} frame {frame}: {ma} and {mb} masked pixels", info.name);
+        }
+    }
+}
+
+#[test]
+fn lanes_agree_on_soft_shadows() {
+    if opened_or_skip("lanes_agree_on_soft_shadows", GpuRaster::new()).is_none() {
+        return;
+    }
+    let (mut cpu, mut gpu) = (renderer(RasterLane::Cpu), renderer(RasterLane::Gpu));
+    for name in ["rolling-box", "rolling-box-sponza"] {
+        let scene = scene(name, 30);
+        for filter in [ShadowFilter::Vsm, ShadowFilter::Evsm4] {
+            let mut settings = RenderSettings { vpl: None, ..settings() };
+            (settings.moments.filter, settings.moments.soft) = (filter, true);
+            let a = cpu.render(&scene, &settings).unwrap();
+            let b = gpu.render(&scene, &settings).unwrap();
+            settings.moments.soft = false;
+            let hard = cpu.render(&scene, &settings).unwrap();
+            for layer in [Layer::Direct, Layer::Traced] {
+                let c = layer_difference(&b, &a, layer);
+                let noticed = layer_difference(&hard, &a, layer).flip.mean();
+                println!("{name} {filter:?} {layer:?}: FLIP {:.5}, of hard ones {noticed:.5}", c.flip.mean());
+                assert!(agrees(&c), "{name} {filter:?} {layer:?}: FLIP mean {}", c.flip.mean());
+                assert!(
+                    layer != Layer::Direct || noticed > 2.0 * c.flip.mean(),
+                    "{name}: hard shadows differ by {noticed}"
+                );
+            }
         }
     }
 }

@@ -40,7 +40,8 @@ const THROUGH: &[(&str, &str)] = &[
     ("perturbed_normal", "surface_at"),
     // Shadows.
     ("evsm_warp", "moments_of"),
-    ("sample_moments", "view_visibility"),
+    ("sample_moments", "soft_moments"),
+    ("soft_moments", "view_visibility"),
     ("view_visibility", "moments_visibility"),
     ("moments_visibility", "shade"),
     ("traced_visibility", "shade"),

@@ -6,6 +6,7 @@ use catoptra_render_hybrid::{
     raster::testing::ShaderProbe,
     twin::{
         grid::{GridPoint, likeness, near_of_four, near_of_sixteen},
+        penumbra::{level_count, level_of, ln_rough, occluder_depth, penumbra_sigma},
         shadow::{evsm_visibility, moments_of},
         vpl_maps::{octahedron_coordinates, octahedron_point, texel_occlusion},
     },
@@ -29,6 +30,51 @@ fn assert_close<const M: usize>(name: &str, gpu: &[[f32; M]], cpu: &[[f32; M]], 
             let bound = relative * b.abs() + absolute;
             assert!((a - b).abs() <= bound, "{name}, row {row}, number {i}: GPU {a}, CPU {b}");
         }
+    }
+}
+
+/// Widths of penumbrae, and where the moments say that an occluder is.
+#[test]
+fn penumbrae() {
+    let Some(probe) = probe() else { return };
+    let rows: Vec<[f32; 4]> =
+        (0..600).map(|i| [noise(i) * 40.0, 1.0 + 0.7 * noise(i + 700), noise(i + 1400), noise(i + 2100)]).collect();
+    let body = "let s = penumbra_sigma(x[0], x[1] > 1.3, x[1], x[2], x[3]); y[0] = s; let l = level_of(s, 7u); \
+                y[1] = f32(l.level) + l.fraction; y[2] = ln_rough(x[0] + 1e-9); y[3] = f32(level_count(u32(x[0] * 200.0)));";
+    let gpu = probe.evaluate(&["shared/shadow"], body, &rows).unwrap();
+    let cpu: Vec<[f32; 4]> = rows
+        .iter()
+        .map(|x| {
+            let sigma = penumbra_sigma(x[0], x[1] > 1.3, x[1], x[2], x[3]);
+            let (level, fraction) = level_of(sigma, 7);
+            let count = level_count((x[0] * 200.0) as u32);
+            [sigma, level as f32 + fraction, ln_rough(x[0] + 1e-9), count as f32]
+        })
+        .collect();
+    assert!(cpu.iter().filter(|c| c[1] > 0.5 && c[1] < 5.5).count() > 100, "levels between the first and the last");
+    assert_close("penumbra", &gpu, &cpu, 1e-4, 2e-5);
+
+    // Two layers and a receiver: some before both, some between, some behind.
+    for (evsm, filter) in [("false", ShadowFilter::Vsm), ("true", ShadowFilter::Evsm4)] {
+        let layer = |x: f32| 0.2 + 0.6 * x;
+        let row = |i| [layer(noise(i)), layer(noise(i + 900)), noise(i + 1800), layer(noise(i + 2700))];
+        let rows: Vec<[f32; 4]> = (0..800).map(row).collect();
+        let kind = u32::from(filter == ShadowFilter::Evsm4);
+        let body = format!(
+            "let m = mix(moments_of({kind}u, x[0]), moments_of({kind}u, x[1]), x[2]); \
+             y[0] = occluder_depth({evsm}, m, x[3], 2e-7);"
+        );
+        let gpu: Vec<[f32; 1]> = probe.evaluate(&["shared/shadow"], &body, &rows).unwrap();
+        let cpu: Vec<[f32; 1]> = rows
+            .iter()
+            .map(|r| {
+                let (a, b) = (Vec4::from(moments_of(filter, r[0])), Vec4::from(moments_of(filter, r[1])));
+                [occluder_depth(filter, a + (b - a) * r[2], r[3], 2e-7)]
+            })
+            .collect();
+        let found = cpu.iter().zip(&rows).filter(|(c, r)| c[0] < r[3]).count();
+        assert!(found > 300, "{found} occluders");
+        assert_close("occluder_depth", &gpu, &cpu, 0.0, 2e-3);
     }
 }
 

@@ -184,6 +184,9 @@ pub struct PictureArgs {
     /// Filter of shadow maps
     #[arg(long, value_enum)]
     pub shadow_filter: Option<ShadowFilter>,
+    /// Penumbrae of shadow maps widen with the distance from occluder to receiver
+    #[arg(long, value_name = "on|off", value_parser = parse_switch)]
+    pub soft_shadows: Option<bool>,
     /// Rays per soft light where shadows are traced
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(1..=4096))]
     pub shadow_samples: Option<u32>,
@@ -309,6 +312,7 @@ impl PictureArgs {
                 ShadowFilter::Evsm4 => hybrid::ShadowFilter::Evsm4,
             };
         }
+        s.moments.soft = self.soft_shadows.unwrap_or(s.moments.soft);
         if let Some(glass) = self.glass_shadows {
             s.glass_shadows = match glass {
                 GlassShadowsArg::Opaque => hybrid::GlassShadows::Opaque,

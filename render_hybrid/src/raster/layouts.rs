@@ -557,7 +557,7 @@ mod tests {
             up_scaled,
             size,
             forward,
-            light
+            softness
         );
         assert_layout!("direct", "DirectUniform", DirectUniform, visibility, min_variance, light_bleed_reduction, evsm);
         assert_layout!("indirect", "Vpl", VplData, position_world, error, normal_world, map, flux, unused2);

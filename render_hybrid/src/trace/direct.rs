@@ -15,6 +15,7 @@ use crate::{
     settings::{MomentOptions, ShadowFilter, Shadows},
     simd::dispatch,
     twin::{
+        glance::{Square, WIDEST_SIGMA, glance, nearness_of, squares_across},
         penumbra::{MOST_LEVELS, level_count, level_of, level_size, occluder_depth, penumbra_sigma},
         shading::blinn_phong_lobe,
         shadow::{ShadowMaps, ShadowView, chebyshev_upper_bound, cube_face, evsm_floors, evsm_warp},
@@ -201,6 +202,8 @@ struct Places {
     /// Position on the map in texels from its corner.
     at: [Lane; 2],
     depth: Lane,
+    /// In metres along the view's axis.
+    along: Lane,
     /// Distance from the light over the depth along its axis.
     slant: Lane,
     inside: [bool; LANES],
@@ -210,7 +213,7 @@ struct Places {
 #[inline(always)]
 fn project(view: impl Fn(usize) -> ShadowView, p: &[Lane; 3]) -> Places {
     let zero = [0.0; LANES];
-    let mut out = Places { at: [zero; 2], depth: zero, slant: zero, inside: [false; LANES] };
+    let mut out = Places { at: [zero; 2], depth: zero, along: zero, slant: zero, inside: [false; LANES] };
     for lane in 0..LANES {
         let view = view(lane);
         let (o, f, r, u) = (view.origin_world, view.forward, view.right_scaled, view.up_scaled);
@@ -223,6 +226,7 @@ fn project(view: impl Fn(usize) -> ShadowView, p: &[Lane; 3]) -> Places {
         let a = 0.5 + 0.5 * (((r.x * x + r.y * y) + r.z * z) * inverse);
         let b = 0.5 - 0.5 * (((u.x * x + u.y * y) + u.z * z) * inverse);
         out.depth[lane] = along / view.far;
+        out.along[lane] = along;
         out.slant[lane] = if perspective { ((x * x + y * y) + z * z).sqrt() * inverse } else { 1.0 };
         out.inside[lane] = in_front & (a >= 0.0) & (b >= 0.0) & (a <= 1.0) & (b <= 1.0);
         let size = view.size as f32;
@@ -280,65 +284,104 @@ fn sample(level: &Level, x: f32, y: f32) -> Vec4 {
     upper + (lower - upper) * fy
 }
 
-/// Moments at sixteen places as wide as their penumbrae: [`ShadowMaps::visibility`]'s.
+/// [`ShadowMaps::visibility`]'s glance at sixteen places; less than 0 where nothing is proven.
+#[inline(always)]
+fn glances<'a>(squares: impl Fn(usize) -> &'a [Square], view: &ShadowView, places: &Places) -> Lane {
+    let (across, perspective) = (squares_across(view.size as usize), view.perspective > 0.5);
+    let mut out = [-1.0f32; LANES];
+    for lane in 0..LANES {
+        let squares = squares(lane);
+        if !places.inside[lane] {
+            // Outside of the map there is no shadow.
+            out[lane] = 1.0;
+        } else if !squares.is_empty() {
+            let (depth, slant) = (places.depth[lane], places.slant[lane]);
+            let (nearness, slack) = nearness_of(perspective, places.along[lane], view.far);
+            let sigma = penumbra_sigma(view.softness, perspective, slant, 0.5 * depth, depth);
+            let found = glance(squares, across, places.at[0][lane], places.at[1][lane], nearness, slack);
+            out[lane] = if sigma > WIDEST_SIGMA { -1.0 } else { found };
+        }
+    }
+    out
+}
+
+/// Moments at those of sixteen places that are `asked`, as wide as their penumbrae: [`ShadowMaps::visibility`]'s. Numbers of all
+/// lanes go side by side, texels lane by lane.
 #[inline(always)]
 fn soft_moments<'a>(
     levels: impl Fn(usize) -> &'a [Level<'a>; MOST_LEVELS],
     view: &ShadowView,
     places: &Places,
+    asked: &[bool; LANES],
     options: &MomentOptions,
 ) -> [Lane; 4] {
     let mut moments = [[0.0f32; LANES]; 4];
-    let set = |moments: &mut [Lane; 4], lane: usize, m: Vec4| {
-        let m = m.to_array();
+    let fetch = |moments: &mut [Lane; 4], lane: usize, level: u32| {
+        let m = sample(&levels(lane)[level as usize], places.at[0][lane], places.at[1][lane]).to_array();
         for c in 0..4 {
             moments[c][lane] = m[c];
         }
     };
-    let at = |lane: usize| (places.at[0][lane], places.at[1][lane]);
     if !(view.softness > 0.0) {
-        for lane in (0..LANES).filter(|l| places.inside[*l]) {
-            let (x, y) = at(lane);
-            set(&mut moments, lane, sample(&levels(lane)[0], x, y));
+        for lane in (0..LANES).filter(|l| asked[*l]) {
+            fetch(&mut moments, lane, 0);
         }
         return moments;
     }
     let (count, perspective) = (level_count(view.size), view.perspective > 0.5);
     let (mut level, mut fraction) = ([0u32; LANES], [0.0f32; LANES]);
-    let mut choose = |occluder: &Lane, level: &mut [u32; LANES]| {
+    for lane in 0..LANES {
+        let (slant, receiver) = (places.slant[lane], places.depth[lane]);
+        let sigma = penumbra_sigma(view.softness, perspective, slant, 0.5 * receiver, receiver);
+        let (l, f) = level_of(sigma, count);
+        level[lane] = l + u32::from(f >= 0.5);
+    }
+    for lane in (0..LANES).filter(|l| asked[*l]) {
+        fetch(&mut moments, lane, level[lane]);
+    }
+    match options.filter {
+        ShadowFilter::Vsm => penumbrae(ShadowFilter::Vsm, view, places, &moments, options, &mut level, &mut fraction),
+        ShadowFilter::Evsm4 => {
+            penumbrae(ShadowFilter::Evsm4, view, places, &moments, options, &mut level, &mut fraction)
+        }
+    }
+    let mut wider = [[0.0f32; LANES]; 4];
+    for lane in (0..LANES).filter(|l| asked[*l]) {
+        fetch(&mut moments, lane, level[lane]);
+        if fraction[lane] > 0.0 {
+            fetch(&mut wider, lane, level[lane] + 1);
+        }
+    }
+    for c in 0..4 {
         for lane in 0..LANES {
-            let (slant, receiver) = (places.slant[lane], places.depth[lane]);
-            let sigma = penumbra_sigma(view.softness, perspective, slant, occluder[lane], receiver);
-            (level[lane], fraction[lane]) = level_of(sigma, count);
+            let more = (wider[c][lane] - moments[c][lane]) * fraction[lane];
+            moments[c][lane] += if fraction[lane] > 0.0 { more } else { 0.0 };
         }
-        fraction
-    };
-    let mut half = [0.0f32; LANES];
-    for lane in 0..LANES {
-        half[lane] = 0.5 * places.depth[lane];
-    }
-    let part = choose(&half, &mut level);
-    for lane in (0..LANES).filter(|l| places.inside[*l]) {
-        let (x, y) = at(lane);
-        let nearest = level[lane] as usize + usize::from(part[lane] >= 0.5);
-        set(&mut moments, lane, sample(&levels(lane)[nearest], x, y));
-    }
-    let mut occluder = [0.0f32; LANES];
-    for lane in 0..LANES {
-        let [a, b, c, d] = moments;
-        let m = Vec4::new(a[lane], b[lane], c[lane], d[lane]);
-        occluder[lane] = occluder_depth(options.filter, m, places.depth[lane], options.min_variance);
-    }
-    let part = choose(&occluder, &mut level);
-    for lane in (0..LANES).filter(|l| places.inside[*l]) {
-        let ((x, y), own) = (at(lane), levels(lane));
-        let mut m = sample(&own[level[lane] as usize], x, y);
-        if part[lane] > 0.0 {
-            m += (sample(&own[level[lane] as usize + 1], x, y) - m) * part[lane];
-        }
-        set(&mut moments, lane, m);
     }
     moments
+}
+
+/// Levels of the penumbrae at sixteen places, and how far they are to the next one.
+/// * `search`: moments of where occluders are looked for
+#[inline(always)]
+fn penumbrae(
+    filter: ShadowFilter,
+    view: &ShadowView,
+    places: &Places,
+    search: &[Lane; 4],
+    options: &MomentOptions,
+    level: &mut [u32; LANES],
+    fraction: &mut Lane,
+) {
+    let (count, perspective) = (level_count(view.size), view.perspective > 0.5);
+    let [a, b, c, d] = search;
+    for lane in 0..LANES {
+        let (slant, receiver) = (places.slant[lane], places.depth[lane]);
+        let m = Vec4::new(a[lane], b[lane], c[lane], d[lane]);
+        let occluder = occluder_depth(filter, m, receiver, options.min_variance);
+        let sigma = penumbra_sigma(view.softness, perspective, slant, occluder, receiver);
+        (level[lane], fraction[lane]) = level_of(sigma, count);
+    }
 }
 
 /// [`chebyshev_upper_bound`] of sixteen points.
@@ -351,12 +394,38 @@ fn chebyshev(mean: &Lane, square: &Lane, t: &Lane, floor: &Lane, reduction: f32)
     out
 }
 
+/// Fraction of light that reaches sixteen places: [`chebyshev_upper_bound`] or [`crate::twin::shadow::evsm_visibility`].
+#[inline(always)]
+fn bounds(moments: &[Lane; 4], depth: &Lane, options: &MomentOptions) -> Lane {
+    let (floor, reduction) = (options.min_variance, options.light_bleed_reduction);
+    match options.filter {
+        ShadowFilter::Vsm => chebyshev(&moments[0], &moments[1], depth, &[floor; LANES], reduction),
+        ShadowFilter::Evsm4 => {
+            let (mut near, mut far) = ([0.0f32; LANES], [0.0f32; LANES]);
+            let (mut near_floor, mut far_floor) = ([0.0f32; LANES], [0.0f32; LANES]);
+            for lane in 0..LANES {
+                let w = evsm_warp(depth[lane]);
+                (near[lane], far[lane]) = (w.x, w.y);
+                let [a, b] = evsm_floors(w, floor);
+                (near_floor[lane], far_floor[lane]) = (a, b);
+            }
+            let near = chebyshev(&moments[0], &moments[1], &near, &near_floor, reduction);
+            let far = chebyshev(&moments[2], &moments[3], &far, &far_floor, reduction);
+            let mut least = near;
+            for lane in 0..LANES {
+                least[lane] = if far[lane] < near[lane] { far[lane] } else { near[lane] };
+            }
+            least
+        }
+    }
+}
+
 #[inline(always)]
 fn add_filtered_body(points: &mut PointBatch, maps: &ShadowMaps, index: u32, light: &Light, options: &MomentOptions) {
     let own = maps.plan.lights[index as usize];
-    let (floor, reduction) = (options.min_variance, options.light_bleed_reduction);
     // All views of a light are of one size and softness.
     let view = maps.plan.views[own.first as usize];
+    let soft = view.softness > 0.0;
     let levels: [_; 6] = std::array::from_fn(|i| levels_of(maps, own.first as usize + i.min(own.count as usize - 1)));
     for at in (0..points.len()).step_by(LANES) {
         let unshadowed = lanes(&points.unshadowed, at);
@@ -378,32 +447,24 @@ fn add_filtered_body(points: &mut PointBatch, maps: &ShadowMaps, index: u32, lig
         } else {
             project(|_| view, &p)
         };
-        let moments = soft_moments(|lane| &levels[(number[lane] - own.first) as usize], &view, &places, options);
-        let visibility = match options.filter {
-            ShadowFilter::Vsm => chebyshev(&moments[0], &moments[1], &places.depth, &[floor; LANES], reduction),
-            ShadowFilter::Evsm4 => {
-                let (mut near, mut far) = ([0.0f32; LANES], [0.0f32; LANES]);
-                let (mut near_floor, mut far_floor) = ([0.0f32; LANES], [0.0f32; LANES]);
-                for lane in 0..LANES {
-                    let w = evsm_warp(places.depth[lane]);
-                    (near[lane], far[lane]) = (w.x, w.y);
-                    let [a, b] = evsm_floors(w, floor);
-                    (near_floor[lane], far_floor[lane]) = (a, b);
-                }
-                let near = chebyshev(&moments[0], &moments[1], &near, &near_floor, reduction);
-                let far = chebyshev(&moments[2], &moments[3], &far, &far_floor, reduction);
-                let mut least = near;
-                for lane in 0..LANES {
-                    least[lane] = if far[lane] < near[lane] { far[lane] } else { near[lane] };
-                }
-                least
-            }
-        };
-        let mut seen = [1.0f32; LANES];
+        let squares = |lane: usize| maps.squares[number[lane] as usize].as_slice();
+        let proven = if soft { glances(squares, &view, &places) } else { glances(|_| &[], &view, &places) };
+        let mut asked = [false; LANES];
         for lane in 0..LANES {
-            seen[lane] = if places.inside[lane] { visibility[lane] } else { 1.0 };
+            asked[lane] = proven[lane] < 0.0;
         }
-        let visibility = seen;
+        let visibility = if asked.contains(&true) {
+            let levels = |lane: usize| &levels[(number[lane] - own.first) as usize];
+            let moments = soft_moments(levels, &view, &places, &asked, options);
+            let found = bounds(&moments, &places.depth, options);
+            let mut seen = [0.0f32; LANES];
+            for lane in 0..LANES {
+                seen[lane] = if asked[lane] { found[lane] } else { proven[lane] };
+            }
+            seen
+        } else {
+            proven
+        };
         let mut out = lanes(&points.radiance, at);
         for lane in 0..LANES {
             out[0][lane] += unshadowed[0][lane] * visibility[lane];

@@ -3,6 +3,7 @@
 
 pub mod certified;
 pub mod gbuffer;
+pub mod glance;
 pub mod grid;
 pub mod interleave;
 pub mod moments;

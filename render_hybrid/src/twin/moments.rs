@@ -8,6 +8,7 @@ use rayon::prelude::*;
 use std::sync::Mutex;
 
 use super::{
+    glance::{self, Square, own_bounds, squares_across, with_neighbours},
     penumbra,
     scan::{BLOCK, ScanList, ScanView, TileBuffers},
     shadow::{BINOMIAL_3, ShadowMaps, ShadowPlan, moments_of},
@@ -33,6 +34,8 @@ pub struct MomentsScratch {
     list: ScanList,
     /// What each map was made of.
     made_of: Vec<CastBy>,
+    /// Squares of the map in the making, by themselves.
+    squares: Vec<Square>,
     /// One a thread.
     bands: Vec<Mutex<BandScratch>>,
 }
@@ -69,6 +72,7 @@ pub fn render_moments(
     scratch.made_of.resize_with(maps.plan.views.len(), CastBy::default);
     maps.maps.resize_with(maps.plan.views.len(), Vec::new);
     maps.coarser.resize_with(maps.plan.views.len(), Vec::new);
+    maps.squares.resize_with(maps.plan.views.len(), Vec::new);
     let certified = settings.shadows == Shadows::Certified;
     maps.pyramids.resize_with(if certified { maps.plan.views.len() } else { 0 }, Default::default);
     scratch.bands.resize_with(rayon::current_num_threads(), Mutex::default);
@@ -89,20 +93,28 @@ pub fn render_moments(
         }
         texels += (size * size) as u64;
         scratch.list.set_up(level, &scan, scene, accel);
-        let pass = Pass { scan, list: &scratch.list, accel, level, far: view.far, size };
         // Certified shadows want depth itself.
         let filter = if certified { None } else { Some(settings.moments.filter) };
+        let squares = filter.is_some() && view.softness > 0.0;
+        let pass = Pass { scan, list: &scratch.list, accel, level, far: view.far, size, squares };
         let bands = &scratch.bands;
-        map.par_chunks_mut(size * BAND).enumerate().with_max_len(1).for_each(|(band, rows)| {
+        let across = squares_across(size);
+        scratch.squares.resize(across * across, Square::default());
+        let squares = scratch.squares.par_chunks_mut(across * BAND / glance::SIDE);
+        map.par_chunks_mut(size * BAND).zip(squares).enumerate().with_max_len(1).for_each(|(band, (rows, squares))| {
             let own = rayon::current_thread_index().unwrap_or(0) % bands.len();
             let mut scratch = bands[own].lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-            pass.band(&mut scratch, band * BAND, rows, filter);
+            pass.band(&mut scratch, band * BAND, rows, squares, filter);
         });
+        maps.squares[i].clear();
+        if pass.squares {
+            with_neighbours(&scratch.squares, size, penumbra::steepest(view), &mut maps.squares[i]);
+        }
         coarser.clear();
         if certified {
             maps.pyramids[i].build(size, map.iter().map(|m| m[0]));
         } else if view.softness > 0.0 {
-            penumbra::make_levels(map, view.size, coarser);
+            penumbra::make_levels(level, map, view.size, coarser);
         }
     }
     // Which thread gets which band is chance; memory for it must not be.
@@ -120,11 +132,20 @@ struct Pass<'a> {
     level: SimdLevel,
     far: f32,
     size: usize,
+    /// What is proven at a glance is wanted.
+    squares: bool,
 }
 
 impl Pass<'_> {
     /// Makes the rows from `y0` on; `filter` `None`: unfiltered depths.
-    fn band(&self, s: &mut BandScratch, y0: usize, rows: &mut [[f32; 4]], filter: Option<ShadowFilter>) {
+    fn band(
+        &self,
+        s: &mut BandScratch,
+        y0: usize,
+        rows: &mut [[f32; 4]],
+        squares: &mut [Square],
+        filter: Option<ShadowFilter>,
+    ) {
         let _span = tracing::info_span!("moments band").entered();
         let size = self.size;
         let height = rows.len() / size;
@@ -145,6 +166,13 @@ impl Pass<'_> {
             }
             return;
         };
+        let across = squares_across(size);
+        for (k, out) in squares.chunks_mut(across).enumerate().filter(|_| self.squares) {
+            let first = y0 + k * glance::SIDE;
+            let last = (first + glance::SIDE).min(y0 + height) - 1;
+            let range = depths(&s.depths, first).start..depths(&s.depths, last).end;
+            own_bounds(self.level, &s.depths.nearness[range], out);
+        }
         s.row.resize(size, [0.0; 4]);
         s.ring.iter_mut().for_each(|r| r.resize(size, [0.0; 4]));
         let ring = s.ring.len();

@@ -13,9 +13,13 @@
 //! "Variance Soft Shadow Mapping", Pacific Graphics 2010 (that depth from moments).
 
 use glam::Vec4;
+use rayon::prelude::*;
 
 use super::shadow::{EVSM_EXPONENTS, ShadowView, evsm_warp};
-use crate::settings::ShadowFilter;
+use crate::{
+    settings::{ShadowFilter, SimdLevel},
+    simd::dispatch,
+};
 
 /// σ of level 0 in texels: a tap of the two beside it, and the tent of bilinear filtering.
 pub const LEVEL_SIGMA: f32 = 0.65;
@@ -123,48 +127,74 @@ pub fn occluder_depth(filter: ShadowFilter, moments: Vec4, t: f32, min_variance:
 }
 
 /// [`ShadowView::softness`] of a light with a disc of `radius` (metres; for parallel light the tangent of its angle).
-/// * `right_scaled`, `up_scaled`, `far`, `perspective`, `size`: the view's
-pub fn softness(view: &ShadowView, radius: f32) -> f32 {
+/// * `view`: all of it but that
+/// * `light_bleed_reduction`: cuts the dark end of a penumbra off, which is made as much wider
+pub fn softness(view: &ShadowView, radius: f32, light_bleed_reduction: f32) -> f32 {
     let scale = (view.right_scaled.length() * view.up_scaled.length()).sqrt();
     let texels = 0.5 * view.size as f32 * scale;
-    DISC_SIGMA * radius.max(0.0) * texels * if view.perspective > 0.5 { 1.0 / view.far } else { view.far }
+    // A Gaussian's width from a tenth to nine tenths of what is left, over that without the cut, is 1 / (1 + 1.45 r) to 2 %.
+    let wider = 1.0 + 1.45 * light_bleed_reduction;
+    DISC_SIGMA * wider * radius.max(0.0) * texels * if view.perspective > 0.5 { 1.0 / view.far } else { view.far }
+}
+
+/// Nearness (1/z in 1/m in perspective, −z in m by parallel light) from texel to texel above which a plane hides a part of the
+/// light's disc from itself.
+pub fn steepest(view: &ShadowView) -> f32 {
+    let texels = view.softness / DISC_SIGMA * if view.perspective > 0.5 { view.far } else { 1.0 / view.far };
+    // Off the axis the disc's image is wider.
+    0.5 / texels
 }
 
 /// Fills `out` with all levels after the first, one after the other.
 /// * `map`: level 0, `size`² texels
-pub fn make_levels(map: &[[f32; 4]], size: u32, out: &mut Vec<[f32; 4]>) {
-    use rayon::prelude::*;
+pub fn make_levels(level: SimdLevel, map: &[[f32; 4]], size: u32, out: &mut Vec<[f32; 4]>) {
     let levels = level_count(size);
     let total: usize = (1..levels).map(|l| level_size(size, l) as usize).map(|n| n * n).sum();
     out.resize(total, [0.0; 4]);
     let (mut fine, mut n) = (map, size as usize);
     let mut rest = out.as_mut_slice();
-    for level in 1..levels {
-        let half = level_size(size, level) as usize;
+    for l in 1..levels {
+        let half = level_size(size, l) as usize;
         let (coarse, after) = std::mem::take(&mut rest).split_at_mut(half * half);
-        let rows = |(y, row): (usize, &mut [[f32; 4]])| halve_row(fine, n, y, row);
-        if half >= 128 {
-            coarse.par_chunks_mut(half).with_min_len(32).enumerate().for_each(rows);
-        } else {
-            coarse.chunks_mut(half).enumerate().for_each(rows);
-        }
+        let rows = |(band, rows): (usize, &mut [[f32; 4]])| {
+            for (y, row) in rows.chunks_mut(half).enumerate() {
+                halve_row(level, fine, n, band * ROWS + y, row);
+            }
+        };
+        coarse.par_chunks_mut(half * ROWS).enumerate().for_each(rows);
         (fine, n, rest) = (coarse, half, after);
     }
 }
 
+/// Rows of a level that one task makes.
+const ROWS: usize = 32;
+
+/// Columns that are summed before they are summed sideways: what fits on the stack.
+const SPAN: usize = 64;
+
 /// Row `y` of the next level: four by four texels around each, weighed 1, 3, 3, 1 each way; clamped at the rim.
-fn halve_row(fine: &[[f32; 4]], n: usize, y: usize, row: &mut [[f32; 4]]) {
+#[inline(always)]
+fn halve_row_body(fine: &[[f32; 4]], n: usize, y: usize, row: &mut [[f32; 4]]) {
     let at = |i: usize, k: usize| (2 * i + k).saturating_sub(1).min(n - 1);
     let rows = [0, 1, 2, 3].map(|k| &fine[at(y, k) * n..][..n]);
-    let column = |x: usize| {
-        let t = rows.map(|r| Vec4::from_array(r[x]));
-        (t[0] + t[3]) + (t[1] + t[2]) * 3.0
-    };
-    for (x, out) in row.iter_mut().enumerate() {
-        let t = [0, 1, 2, 3].map(|k| column(at(x, k)));
-        *out = (((t[0] + t[3]) + (t[1] + t[2]) * 3.0) * (1.0 / 64.0)).to_array();
+    let mut columns = [[0.0f32; 4]; 2 * SPAN + 2];
+    for (part, out) in row.chunks_mut(SPAN).enumerate() {
+        let first = part * SPAN;
+        let (low, high) = (at(first, 0), at(first + out.len() - 1, 3) + 1);
+        let [a, b, c, d] = rows.map(|r| r[low..high].as_flattened());
+        for (i, sum) in columns.as_flattened_mut()[..a.len()].iter_mut().enumerate() {
+            *sum = (a[i] + d[i]) + (b[i] + c[i]) * 3.0;
+        }
+        for (x, out) in out.iter_mut().enumerate() {
+            let [a, b, c, d] = [0, 1, 2, 3].map(|k| columns[at(first + x, k) - low]);
+            for channel in 0..4 {
+                out[channel] = ((a[channel] + d[channel]) + (b[channel] + c[channel]) * 3.0) * (1.0 / 64.0);
+            }
+        }
     }
 }
+
+dispatch! { fn halve_row => halve_row_body(fine: &[[f32; 4]], n: usize, y: usize, row: &mut [[f32; 4]]) }
 
 #[cfg(test)]
 mod tests {
@@ -220,7 +250,7 @@ mod tests {
         let plane = |x: u32, y: u32| [0.01 * x as f32, 0.02 * y as f32, 1.0, (x % 2) as f32];
         let map: Vec<[f32; 4]> = (0..size * size).map(|i| plane(i % size, i / size)).collect();
         let mut levels = Vec::new();
-        make_levels(&map, size, &mut levels);
+        make_levels(SimdLevel::Portable, &map, size, &mut levels);
         assert_eq!(levels.len(), 32 * 32 + 16 * 16);
         // Texel (x, y) of level 1 lies at (2x + 0.5, 2y + 0.5) of level 0.
         for y in 1..31 {

@@ -8,9 +8,10 @@ use glam::{Vec2, Vec3, Vec4, Vec4Swizzles};
 
 use super::{
     certified::DepthPyramid,
+    glance::{self, Square, nearness_of, squares_across},
     penumbra::{self, level_count, level_of, level_size, occluder_depth, penumbra_sigma},
 };
-use crate::settings::{MomentOptions, ShadowFilter};
+use crate::settings::{MomentOptions, ShadowFilter, SimdLevel};
 
 /// Texels a map keeps beyond the light's own frustum, so that the blur and bilinear filtering at its rim read true
 /// depths: 1 of the blur, 1 of the filter, and some for coarser levels.
@@ -213,7 +214,11 @@ impl ShadowPlan {
                 _ => plan.views.extend(point_views(light, bounds_world, options.face_size)),
             }
             for view in &mut plan.views[first as usize..] {
-                view.softness = penumbra::softness(view, light.radius);
+                view.softness = if options.soft {
+                    penumbra::softness(view, light.radius, options.light_bleed_reduction)
+                } else {
+                    0.0
+                };
             }
             plan.lights.push(LightMaps { first, count: plan.views.len() as u32 - first });
         }
@@ -320,17 +325,21 @@ pub struct ShadowMaps {
     pub maps: Vec<Vec<[f32; 4]>>,
     /// The further levels of each map's pyramid, one after the other; empty where the light is a point.
     pub coarser: Vec<Vec<[f32; 4]>>,
+    /// Bounds of each map's squares; empty where the CPU did not make the map.
+    pub squares: Vec<Vec<Square>>,
     /// One a view where shadows are certified, in place of `maps`.
     pub pyramids: Vec<DepthPyramid>,
 }
 
 impl ShadowMaps {
-    /// Makes the further levels of all maps whose light has a disc.
-    pub fn make_levels(&mut self) {
+    /// Makes the further levels of all maps whose light has a disc, where somebody else made the maps.
+    pub fn make_levels(&mut self, level: SimdLevel) {
+        self.squares.clear();
+        self.squares.resize_with(self.maps.len(), Vec::new);
         self.coarser.resize_with(self.maps.len(), Vec::new);
         for ((view, map), coarser) in self.plan.views.iter().zip(&self.maps).zip(&mut self.coarser) {
             if view.softness > 0.0 && !map.is_empty() {
-                penumbra::make_levels(map, view.size, coarser);
+                penumbra::make_levels(level, map, view.size, coarser);
             } else {
                 coarser.clear();
             }
@@ -367,6 +376,24 @@ impl ShadowMaps {
         a + (b - a) * fy
     }
 
+    /// [`glance()`] at a receiver; less than 0 where nothing is proven.
+    fn glance(&self, number: u32, point_world: Vec3, c: &ShadowCoord) -> f32 {
+        let (view, squares) = (&self.plan.views[number as usize], self.squares[number as usize].as_slice());
+        if squares.is_empty() {
+            return -1.0;
+        }
+        let perspective = view.perspective > 0.5;
+        let v = point_world - view.origin_world;
+        let along = view.forward.dot(v);
+        let slant = if perspective { v.length() / along } else { 1.0 };
+        if penumbra_sigma(view.softness, perspective, slant, 0.5 * c.depth, c.depth) > glance::WIDEST_SIGMA {
+            return -1.0;
+        }
+        let (nearness, slack) = nearness_of(perspective, along, view.far);
+        let at = c.uv * view.size as f32;
+        glance::glance(squares, squares_across(view.size as usize), at.x, at.y, nearness, slack)
+    }
+
     /// Moments at a receiver, filtered as widely as the light's disc spreads what shadows it.
     ///
     /// Twin: `shaders/shared/shadow.wgsl`.
@@ -399,6 +426,10 @@ impl ShadowMaps {
         let inside = c.in_front && c.uv.cmpge(Vec2::ZERO).all() && c.uv.cmple(Vec2::ONE).all();
         if !inside {
             return 1.0;
+        }
+        let proven = self.glance(view, point_world, &c);
+        if proven >= 0.0 {
+            return proven;
         }
         let moments = self.soft_moments(view, point_world, &c, options);
         let (floor, reduction) = (options.min_variance, options.light_bleed_reduction);

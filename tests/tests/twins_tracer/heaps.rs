@@ -371,7 +371,7 @@ fn lights_and_their_views() {
             ("v.up_scaled", 3),
             ("v.size", 1),
             ("v.forward", 3),
-            ("v.light", 1),
+            ("v.softness", 1),
         ])
     );
     let expected: Vec<[f32; 16]> = plan
@@ -382,7 +382,7 @@ fn lights_and_their_views() {
                 &v.origin_world.extend(v.far).to_array(),
                 &v.right_scaled.extend(v.perspective).to_array(),
                 &v.up_scaled.extend(v.size as f32).to_array(),
-                &v.forward.extend(v.light as f32).to_array(),
+                &v.forward.extend(v.softness).to_array(),
             ])
         })
         .collect();

@@ -5,7 +5,7 @@ use catoptra_engine::{
     glam::{Affine3, Vec3},
 };
 use catoptra_render_hybrid::{
-    BlasKind, MomentOptions, RenderSettings, ShadowFilter, Shadows, VplOptions, VplShadows,
+    BlasKind, MomentOptions, RenderSettings, ShadowFilter, Shadows, SimdLevel, VplOptions, VplShadows,
     accel::Accel,
     raster::testing::{LitBy, ShadedBy, light_at},
     trace::surface::{NormalMatrices, Surface},
@@ -93,7 +93,7 @@ fn scene() -> RenderScene {
 /// Maps of any depths, two in a texel: as soft as maps can be.
 fn maps(scene: &RenderScene, filter: ShadowFilter) -> ShadowMaps {
     let mut r = Random(32);
-    let options = MomentOptions { size: MAP, face_size: MAP / 2, filter, ..MomentOptions::default() };
+    let options = MomentOptions { size: MAP, face_size: MAP / 2, filter, soft: true, ..MomentOptions::default() };
     let plan = ShadowPlan::new(&scene.lights, scene.bounds_world(), &options);
     let texel = |r: &mut Random| {
         let [a, b] = [0; 2].map(|_| moments_of(filter, r.unit()));
@@ -101,7 +101,9 @@ fn maps(scene: &RenderScene, filter: ShadowFilter) -> ShadowMaps {
         std::array::from_fn(|i| a[i] * share + b[i] * (1.0 - share))
     };
     let maps = plan.views.iter().map(|v| (0..v.size * v.size).map(|_| texel(&mut r)).collect()).collect();
-    ShadowMaps { plan, maps, ..ShadowMaps::default() }
+    let mut maps = ShadowMaps { plan, maps, ..ShadowMaps::default() };
+    maps.make_levels(SimdLevel::Auto);
+    maps
 }
 
 fn vpls(r: &mut Random) -> Vec<Vpl> {
@@ -190,7 +192,8 @@ fn run(case: Case, accel: &Accel, scene: &RenderScene, rows: &[Row], faults: &[(
         // Occluders at 0.5 to 20 m.
         vpl_maps.texels = (0..VPLS as u32 * MAP * MAP).map(|_| 1.0 / (0.5 + 19.5 * r.unit() * r.unit())).collect();
     }
-    let moments = MomentOptions { size: MAP, face_size: MAP / 2, filter: case.filter, ..MomentOptions::default() };
+    let moments =
+        MomentOptions { size: MAP, face_size: MAP / 2, filter: case.filter, soft: true, ..MomentOptions::default() };
     let settings = RenderSettings {
         shadows: case.shadows,
         shadow_samples: SAMPLES,
