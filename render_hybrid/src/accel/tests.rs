@@ -701,12 +701,13 @@ fn lopsided_meshes_have_trees() {
         let n = p.len() as u32 / 3;
         mesh(p, (0..n).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect())
     };
+    let two_to = |i: i32| f32::from_bits(((127 + i) as u32) << 23);
     let meshes = [
         quads(&mut (0..4000).map(|i| (Vec3::ZERO, 1.0 + i as f32))),
         quads(&mut (0..4000).map(|i| (Vec3::splat(i as f32 * 1e-3), 1.0 + i as f32))),
         quads(&mut (0..4000).map(|_| (Vec3::ONE, 1.0))),
-        quads(&mut (0..40).map(|i| (Vec3::X * (i as f32).exp2(), 1e-3))),
-        quads(&mut (0..120).map(|i| (Vec3::X * (i as f32 - 80.0).exp2(), (i as f32 - 80.0).exp2()))),
+        quads(&mut (0..40).map(|i| (Vec3::X * two_to(i), 1e-3))),
+        quads(&mut (0..120).map(|i| (Vec3::X * two_to(i - 80), two_to(i - 80)))),
     ];
     for m in meshes {
         let s = scene(vec![m.clone()], vec![(0, Affine3::IDENTITY)]);
