@@ -25,7 +25,8 @@ fn sibling(n: u32) -> u32 {
     ((n - 1) ^ 1) + 1
 }
 
-/// Searches a new place for each of the `share` nodes of the greatest boxes, `rounds` times. Children lie as [`Node2`] has it.
+/// Searches better places for the `count` subtrees of the greatest boxes, at most `rounds` times. Children lie as [`Node2`] has it. The search runs
+/// on all threads; moves are made one after the other, the best first, so that the result is the same on any number of them.
 pub(crate) fn improve(nodes: &mut [Node2], count: usize, rounds: usize) {
     if nodes.len() < 5 {
         return;

@@ -33,6 +33,7 @@ pub(crate) struct WideTree {
 pub(crate) struct LeafPrimitives {
     ids: [u32; WIDTH],
     len: u8,
+    surface: f32,
 }
 
 impl LeafPrimitives {
@@ -53,7 +54,7 @@ pub(crate) fn collapse(nodes: &[Node2], primitives: &[u32], boxes: &[Box4], cost
     choose(&Choosing { nodes, costs, choices: &choices }, 0, PARALLEL_DEPTH);
     let pick = |n: u32| choices[n as usize].load(Ordering::Relaxed).to_le_bytes();
 
-    let leaf_of = |&n: &u32| leaf_of(nodes, primitives, n);
+    let leaf_of = |&n: &u32| leaf_of(nodes, primitives, boxes, n);
     if pick(0)[7] == u8::MAX {
         tree.root = LEAF;
         tree.leaves.push(leaf_of(&0));
@@ -106,7 +107,7 @@ pub(crate) fn collapse(nodes: &[Node2], primitives: &[u32], boxes: &[Box4], cost
     if tree.depth > MAX_DEPTH {
         return None;
     }
-    order(&mut tree, boxes, costs);
+    order(&mut tree, costs);
     Some(tree)
 }
 
@@ -123,13 +124,12 @@ struct Prospect {
 /// independent. A ray in a box of half area a meets a surface s that lies in it with a probability of s / a.
 ///
 /// Source: Nah & Manocha, "SATO: Surface Area Traversal Order for Shadow Ray Tracing", CGF 2014, of two children and without costs.
-fn order(tree: &mut WideTree, boxes: &[Box4], costs: CollapseCosts) {
+fn order(tree: &mut WideTree, costs: CollapseCosts) {
     let leaves = &tree.leaves;
     let leaf = |id: u32, area: f32| {
-        let primitives = leaves[id as usize].as_slice();
-        let surface: f32 = primitives.iter().map(|&p| boxes[p as usize].hi.w).sum();
+        let LeafPrimitives { len, surface, .. } = leaves[id as usize];
         let hit = if surface < area { surface / area } else { 1.0 };
-        Prospect { hit, cost: costs.leaf + costs.primitive * primitives.len() as f32 }
+        Prospect { hit, cost: costs.leaf + costs.primitive * f32::from(len) }
     };
     let mut prospects = vec![Prospect { hit: 0.0, cost: 0.0 }; tree.nodes.len()];
     // Children come after their parents.
@@ -253,8 +253,8 @@ fn choose_one(c: &Choosing, n: u32, sides: Option<(Subtree, Subtree)>) -> Subtre
     Subtree { count, cost }
 }
 
-fn leaf_of(nodes: &[Node2], primitives: &[u32], root: u32) -> LeafPrimitives {
-    let mut out = LeafPrimitives { ids: [u32::MAX; WIDTH], len: 0 };
+fn leaf_of(nodes: &[Node2], primitives: &[u32], boxes: &[Box4], root: u32) -> LeafPrimitives {
+    let mut out = LeafPrimitives { ids: [u32::MAX; WIDTH], len: 0, surface: 0.0 };
     // A leaf has at most eight primitives, so that no more than eight nodes wait.
     let mut todo = [root; WIDTH];
     let mut waiting = 1;
@@ -267,6 +267,7 @@ fn leaf_of(nodes: &[Node2], primitives: &[u32], root: u32) -> LeafPrimitives {
                 let id = primitives[i as usize];
                 out.ids[out.len as usize] = id;
                 out.len += 1;
+                out.surface += boxes[id as usize].hi.w;
             }
         } else {
             todo[waiting] = node.first() + 1;
