@@ -1,14 +1,12 @@
 //! A mesh's own tree, in object space.
 
+use super::binary::{self, Box4};
 use super::kdtree::KdTree;
 use super::node::{BLOCK, Bounds, EMPTY, LEAF, LEN_SHIFT, Node8, Tri8};
+use super::reinsert;
 use super::wide::{CollapseCosts, WideTree, collapse, median_tree};
 use crate::BlasKind;
 use catoptra_engine::mesh::Mesh;
-use glam::Vec3A;
-use obvhs::aabb::Aabb;
-use obvhs::bvh2::reinsertion::ReinsertionOptimizer;
-use obvhs::ploc::{PlocBuilder, PlocSearchDistance, SortPrecision};
 use rayon::prelude::*;
 
 /// Wide BVH over triangle blocks.
@@ -26,11 +24,17 @@ pub(crate) struct Blas {
 /// Against one visit of a wide node: see `CollapseCosts`.
 const COSTS: CollapseCosts = CollapseCosts { max_leaf: 8, leaf: 0.5, primitive: 0.05 };
 
-/// Share of nodes, those of the greatest boxes, that are tried elsewhere in the tree in each round.
-const REINSERTION: f32 = 0.01;
+/// Nodes, those of the greatest boxes, that are tried elsewhere in the tree in each round, a triangle.
+const REINSERTION: f32 = 0.025;
 
 /// Rounds of reinsertion: many over the top of the tree, which most rays see, rather than few over most of it.
 const ROUNDS: usize = 26;
+
+/// Triangles of a binary tree's leaves at most.
+const BINARY_LEAF: usize = 2;
+
+/// Triangles a task.
+const CHUNK: usize = 1024;
 
 /// Coordinates beyond this overflow the builder's surface areas; such meshes get the median tree.
 const MAX_BUILDER_COORDINATE: f32 = 1e15;
@@ -41,32 +45,32 @@ impl Blas {
         Self { nodes: Vec::new(), blocks: Vec::new(), root: EMPTY, kd: None, bounds: Bounds::EMPTY, extent: 0.0 }
     }
 
+    /// Of what rays read.
+    pub fn bytes(&self) -> usize {
+        let kd = self.kd.as_ref().map_or(0, |kd| size_of_val(&*kd.nodes));
+        size_of_val(&*self.nodes) + size_of_val(&*self.blocks) + kd
+    }
+
     pub fn build(mesh: &Mesh, kind: BlasKind) -> Self {
         if kind == BlasKind::KdTree {
             return Self::build_kd(mesh);
         }
         let bounds = Bounds::from(mesh.bounds_object());
-        let boxes: Vec<Aabb> = (0..mesh.triangles().len() as u32)
+        let boxes: Vec<Box4> = (0..mesh.triangles().len() as u32)
             .into_par_iter()
-            .map(|i| Aabb::from_points(&mesh.corners(i).map(Vec3A::from)))
+            .with_min_len(CHUNK)
+            .map(|i| Box4::of(&mesh.corners(i)))
             .collect();
         let tree = if boxes.len() > 8 && bounds.extent() < MAX_BUILDER_COORDINATE {
-            let indices = (0..boxes.len() as u32).collect();
-            let mut bvh2 = PlocBuilder::with_capacity(boxes.len()).build(
-                PlocSearchDistance::Medium,
-                &boxes,
-                indices,
-                SortPrecision::U64,
-                3,
-            );
-            ReinsertionOptimizer::default().run(&mut bvh2, REINSERTION, Some(vec![1.0; ROUNDS]));
-            collapse(&bvh2.nodes, &bvh2.primitive_indices, COSTS)
+            let (mut nodes, ids) = binary::build(&boxes, BINARY_LEAF);
+            reinsert::improve(&mut nodes, (boxes.len() as f32 * REINSERTION) as usize, ROUNDS);
+            collapse(&nodes, &ids, &boxes, COSTS)
         } else {
             None
         };
         let tree = tree.unwrap_or_else(|| {
             let (nodes, ids) = median_tree(&boxes);
-            collapse(&nodes, &ids, COSTS).expect("a median tree is shallow")
+            collapse(&nodes, &ids, &boxes, COSTS).expect("a median tree is shallow")
         });
         Self::from_tree(mesh, tree)
     }

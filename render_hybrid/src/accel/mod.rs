@@ -5,6 +5,7 @@
 //! have no gaps along shared edges and vertices; open edges are not fattened. Equal distances go to the smaller
 //! (instance, primitive).
 
+mod binary;
 mod blas;
 mod boxes;
 mod cutout;
@@ -14,6 +15,7 @@ mod kdtree;
 pub(crate) mod node;
 mod ray;
 mod ray_space;
+mod reinsert;
 mod simd;
 #[cfg(test)]
 mod tests;

@@ -105,9 +105,9 @@ impl From<catoptra_engine::mesh::Aabb> for Bounds {
     }
 }
 
-impl From<&obvhs::aabb::Aabb> for Bounds {
-    fn from(b: &obvhs::aabb::Aabb) -> Self {
-        Self { min: [b.min.x, b.min.y, b.min.z], max: [b.max.x, b.max.y, b.max.z] }
+impl From<super::binary::Box4> for Bounds {
+    fn from(b: super::binary::Box4) -> Self {
+        Self { min: [b.lo.x, b.lo.y, b.lo.z], max: [b.hi.x, b.hi.y, b.hi.z] }
     }
 }
 

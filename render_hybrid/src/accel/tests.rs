@@ -87,18 +87,22 @@ fn scene(meshes: Vec<Arc<Mesh>>, instances: Vec<(u32, Affine3)>) -> RenderScene 
 const LEVELS: [SimdLevel; 3] = [SimdLevel::Portable, SimdLevel::Avx2, SimdLevel::Avx512];
 const KINDS: [BlasKind; 2] = [BlasKind::Bvh, BlasKind::KdTree];
 
-/// One structure for each level and kind that this machine has.
+/// One structure for each level and kind that this machine has; of each one whose scattered rays go side by side, and one whose go
+/// alone.
 fn structures(scene: &RenderScene) -> Vec<(String, Accel)> {
     let mut all = Vec::new();
     for simd in LEVELS {
         for blas in KINDS {
-            match Accel::new(AccelOptions { blas, simd, count: false }) {
-                Ok(mut accel) => {
-                    accel.update(scene);
-                    accel.validate().unwrap();
-                    all.push((format!("{simd:?} {blas:?}"), accel));
+            for from in [0, usize::MAX] {
+                match Accel::new(AccelOptions { blas, simd, count: false }) {
+                    Ok(mut accel) => {
+                        accel.world.side_by_side_from = from;
+                        accel.update(scene);
+                        accel.validate().unwrap();
+                        all.push((format!("{simd:?} {blas:?} from {from}"), accel));
+                    }
+                    Err(e) => eprintln!("skipped: {e}"),
                 }
-                Err(e) => eprintln!("skipped: {e}"),
             }
         }
     }
@@ -668,6 +672,48 @@ fn one_hash_of_hits() {
         }
     }
     assert_eq!(hashes.len(), 1, "{hashes:?}");
+}
+
+/// Every bit of the trees, not only the hits.
+#[test]
+fn trees_do_not_depend_on_threads() {
+    let mut r = Random(15);
+    for mesh in [soup(&mut r, 20_000, 0.05), soup(&mut r, 3000, 1.0), lump(&mut r, 90, 100)] {
+        let trees = [1, 2, 3, 8].map(|threads| {
+            let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().unwrap();
+            let tree = pool.install(|| blas::Blas::build(&mesh, BlasKind::Bvh));
+            let nodes: Vec<_> = tree.nodes.iter().map(|n| (n.planes.map(|p| p.map(f32::to_bits)), n.child)).collect();
+            (nodes, tree.blocks.iter().map(|b| b.prim).collect::<Vec<_>>())
+        });
+        assert!(trees[0].0.len() > 50);
+        assert!(trees.iter().all(|t| *t == trees[0]));
+    }
+}
+
+/// Boxes in boxes, boxes of one middle, boxes in a row whose distances double: what makes splits lopsided.
+#[test]
+fn lopsided_meshes_have_trees() {
+    let quads = |places: &mut dyn Iterator<Item = (Vec3, f32)>| {
+        let mut p = Vec::new();
+        for (at, size) in places {
+            p.extend([Vec3::new(-1.0, -1.0, 0.1), Vec3::new(1.0, -1.0, -0.1), Vec3::Y].map(|v| at + v * size));
+        }
+        let n = p.len() as u32 / 3;
+        mesh(p, (0..n).map(|i| [3 * i, 3 * i + 1, 3 * i + 2]).collect())
+    };
+    let two_to = |i: i32| f32::from_bits(((127 + i) as u32) << 23);
+    let meshes = [
+        quads(&mut (0..4000).map(|i| (Vec3::ZERO, 1.0 + i as f32))),
+        quads(&mut (0..4000).map(|i| (Vec3::splat(i as f32 * 1e-3), 1.0 + i as f32))),
+        quads(&mut (0..4000).map(|_| (Vec3::ONE, 1.0))),
+        quads(&mut (0..40).map(|i| (Vec3::X * two_to(i), 1e-3))),
+        quads(&mut (0..120).map(|i| (Vec3::X * two_to(i - 80), two_to(i - 80)))),
+    ];
+    for m in meshes {
+        let s = scene(vec![m.clone()], vec![(0, Affine3::IDENTITY)]);
+        let ray = Ray::new(Vec3::new(0.3, 0.2, 50.0), Vec3::NEG_Z);
+        agree(&s, &[ray, Ray::new(Vec3::new(-5.0, 0.0, 0.01), Vec3::X)], false);
+    }
 }
 
 #[test]

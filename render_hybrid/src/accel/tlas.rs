@@ -4,6 +4,7 @@
 //! change. When the surface-area cost has grown past [`REBUILD_FACTOR`] times its value at the last build, the tree is
 //! built anew (instances only: no mesh tree is touched).
 
+use super::binary::{Box4, Node2};
 use super::node::{Bounds, EMPTY, LEAF, MAX_DEPTH, Node8, WIDTH};
 use super::wide::{CollapseCosts, collapse, median_tree};
 use glam::Vec3A;
@@ -57,6 +58,12 @@ impl Tlas {
             .iter()
             .map(|&s| Aabb::new(Vec3A::from(boxes[s as usize].min), Vec3A::from(boxes[s as usize].max)))
             .collect();
+        // As if a box were full.
+        let full = |b: &Aabb| {
+            let b = Box4::from(b);
+            Box4 { hi: b.hi.with_w(b.half_area()), ..b }
+        };
+        let filled: Vec<Box4> = aabbs.iter().map(full).collect();
         self.place.clear();
         self.place.resize(boxes.len(), NOWHERE);
         let extent = slots.iter().fold(0.0f32, |m, &s| m.max(boxes[s as usize].extent()));
@@ -68,13 +75,14 @@ impl Tlas {
                 SortPrecision::U64,
                 2,
             );
-            collapse(&bvh2.nodes, &bvh2.primitive_indices, COSTS)
+            let nodes: Vec<Node2> = bvh2.nodes.iter().map(Node2::from).collect();
+            collapse(&nodes, &bvh2.primitive_indices, &filled, COSTS)
         } else {
             None
         };
         let tree = tree.unwrap_or_else(|| {
-            let (nodes, ids) = median_tree(&aabbs);
-            collapse(&nodes, &ids, COSTS).expect("a median tree is shallow")
+            let (nodes, ids) = median_tree(&filled);
+            collapse(&nodes, &ids, &filled, COSTS).expect("a median tree is shallow")
         });
         self.nodes = tree.nodes;
         self.root = tree.root;

@@ -13,6 +13,10 @@ use rayon::prelude::*;
 use std::collections::HashMap;
 use std::sync::Arc;
 
+/// Twice the second-level cache of a present processor. What trees are smaller stay near enough that a ray alone waits less than it costs
+/// to set it out beside others: measured at 2.5 MB (one by one gains 11%) and 5.5 MB (side by side gains 20%).
+const SIDE_BY_SIDE_FROM: usize = 4 << 20;
+
 /// What the kernels read.
 pub(crate) struct World {
     /// By instance slot.
@@ -27,6 +31,10 @@ pub(crate) struct World {
     /// The slot of the one instance that can be hit, where there is only one: the upper tree is left out.
     pub only: Option<u32>,
     pub follow: Follow,
+    /// Bytes of all mesh trees.
+    pub bytes: usize,
+    /// Trees of so many bytes have rays without anything in common go through them side by side.
+    pub side_by_side_from: usize,
     /// Of the counting level.
     pub counts: std::sync::Mutex<super::TraversalCounts>,
 }
@@ -72,6 +80,8 @@ impl World {
             extent: 0.0,
             slack: 1.0,
             only: None,
+            bytes: 0,
+            side_by_side_from: SIDE_BY_SIDE_FROM,
             counts: Default::default(),
             follow: Follow {
                 kind,
@@ -222,6 +232,7 @@ impl World {
             f.meshes[tree] = Some(mesh);
             self.trees[tree] = blas;
         }
+        self.bytes = self.trees.iter().map(Blas::bytes).sum();
         builds
     }
 

@@ -1,5 +1,6 @@
 //! Many rays at once. Sixteen neighbours of one kind (signs and main axis of the direction) are a packet. Rays of a few kinds wait
-//! for others of theirs from the same window of the slice. Those that have nothing in common go side by side.
+//! for others of theirs from the same window of the slice. Those that have nothing in common go side by side, or one by one where the
+//! trees are small.
 
 use super::{Detected, Usable, any, any_packet, closest, closest_packet, closest_side_by_side, usable};
 use crate::accel::world::World;
@@ -34,7 +35,11 @@ impl Question for Closest {
         closest_packet(level, world, rays, answers)
     }
     fn others(level: Detected, world: &World, rays: &[Ray], numbers: &[u32], answers: &mut [Hit]) {
-        closest_side_by_side(level, world, rays, numbers, answers);
+        if world.bytes >= world.side_by_side_from {
+            closest_side_by_side(level, world, rays, numbers, answers);
+        } else {
+            numbers.iter().for_each(|&n| answers[n as usize] = closest(level, world, &rays[n as usize]));
+        }
     }
     fn one(level: Detected, world: &World, ray: &Ray) -> Hit {
         closest(level, world, ray)

@@ -48,6 +48,7 @@ struct Above<'a, const CLOSEST: bool> {
 
 impl<L: Level, const CLOSEST: bool> PacketVisitor<L> for Above<'_, CLOSEST> {
     const BY_MIDDLE: bool = true;
+    const ANY: bool = !CLOSEST;
 
     #[inline(always)]
     unsafe fn leaf(&mut self, rays: &mut Rays, leaf: u32, mask: u32) {

@@ -97,12 +97,12 @@ pub(super) unsafe fn walk<L: Level, V: Visitor<L>>(
                     continue 'node;
                 }
                 if !V::ORDERED {
-                    // Whatever comes first: none will be culled later either, for the limit stays.
+                    // As the tree has them: none will be culled later either, for the limit stays.
                     current = child(first);
                     while mask != 0 {
-                        let c = child(mask.trailing_zeros() as usize);
-                        mask &= mask - 1;
-                        soon(v, c);
+                        let last = mask.ilog2();
+                        let c = child(last as usize);
+                        mask ^= 1 << last;
                         *stack.add(top) = Waiting { child: c, t: 0.0 };
                         top += 1;
                     }

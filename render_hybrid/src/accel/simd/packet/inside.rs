@@ -22,6 +22,7 @@ pub(super) struct Inside<'a, const CLOSEST: bool> {
 
 impl<L: Level, const CLOSEST: bool> PacketVisitor<L> for Inside<'_, CLOSEST> {
     const BY_MIDDLE: bool = false;
+    const ANY: bool = !CLOSEST;
 
     #[inline(always)]
     unsafe fn leaf(&mut self, rays: &mut Rays, leaf: u32, mask: u32) {

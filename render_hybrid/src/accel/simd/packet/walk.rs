@@ -22,6 +22,9 @@ pub(super) trait PacketVisitor<L: Level> {
     /// Children are visited by the middle of the way through them, not by its start: a box that holds the others, as a room
     /// holds what stands in it, comes last, when most of it lies behind what was met.
     const BY_MIDDLE: bool;
+    /// Any hit will do: of children that are entered at the same distance, the first goes first. Else it goes last: of boxes that all hold
+    /// the rays' origin, the small ones are worth more.
+    const ANY: bool;
     /// # Safety
     /// The level's features and a leaf of the visitor's tree.
     unsafe fn leaf(&mut self, rays: &mut Rays, leaf: u32, mask: u32);
@@ -120,7 +123,8 @@ pub(super) unsafe fn walk<L: Level, V: PacketVisitor<L>>(
                 }
                 let (t, key) = (*first.as_ptr().add(slot), *keys.as_ptr().add(slot));
                 let mut i = top;
-                while i > base && (*stack.add(i - 1)).key < key {
+                let is_later = |k: f32| if V::ANY { k <= key } else { k < key };
+                while i > base && is_later((*stack.add(i - 1)).key) {
                     *stack.add(i) = *stack.add(i - 1);
                     i -= 1;
                 }
