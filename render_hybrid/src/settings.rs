@@ -252,10 +252,10 @@ impl Default for RenderSettings {
 pub enum Preset {
     /// 16 VPLs without shadows, depth 4: editing.
     Draft,
-    /// 400 VPLs with shadow maps on a grid of the picture, 64 without in mirrors, filtered shadows, depth 8: play.
+    /// 400 VPLs of 800 candidates with shadow maps on a grid of the picture, 64 without in mirrors, filtered shadows, depth 8: play.
     #[default]
     Interactive,
-    /// 4,096 VPLs of four times as many candidates, with shadow maps and the near field, certified soft shadows, depth 16:
+    /// 6,144 VPLs of four times as many candidates, with shadow maps and the near field, certified soft shadows, depth 16:
     /// stills.
     High,
 }
@@ -297,6 +297,7 @@ impl RenderSettings {
             Preset::Interactive => Self {
                 vpl: Some(VplOptions {
                     count: 400,
+                    candidates: 2,
                     geometry_term_max: Some(30.0),
                     map_size: 16,
                     spacing: 16,
@@ -309,12 +310,12 @@ impl RenderSettings {
             Preset::High => Self {
                 shadows: Shadows::Certified,
                 vpl: Some(VplOptions {
-                    count: 4096,
+                    count: 6144,
                     candidates: 4,
                     bounces: 3,
                     geometry_term_max: Some(400.0),
                     map_size: 64,
-                    spacing: 4,
+                    spacing: 2,
                     near_field: true,
                     ..VplOptions::default()
                 }),

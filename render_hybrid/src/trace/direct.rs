@@ -235,14 +235,8 @@ fn project(view: impl Fn(usize) -> ShadowView, p: &[Lane; 3]) -> Places {
     out
 }
 
-/// A level of a map's pyramid.
-#[derive(Clone, Copy)]
-struct Level<'a> {
-    texels: &'a [[f32; 4]],
-    size: u32,
-    /// Of the map's texels, one of its own.
-    share: f32,
-}
+/// Texels of a level of a map's pyramid.
+type Level<'a> = &'a [[f32; 4]];
 
 /// The levels of a map; those beyond `count` are the first.
 #[inline(always)]
@@ -250,38 +244,67 @@ fn levels_of<'a>(maps: &'a ShadowMaps, number: usize) -> [Level<'a>; MOST_LEVELS
     let full = maps.plan.views[number].size;
     let map = maps.maps[number].as_slice();
     let mut rest = maps.coarser[number].as_slice();
-    let mut out = [Level { texels: map, size: full, share: 1.0 }; MOST_LEVELS];
+    let mut out = [map; MOST_LEVELS];
     if !rest.is_empty() {
         for level in 1..level_count(full) {
             let size = level_size(full, level);
             let (texels, after) = rest.split_at((size * size) as usize);
-            out[level as usize] = Level { texels, size, share: 1.0 / (1u32 << level) as f32 };
+            out[level as usize] = texels;
             rest = after;
         }
     }
     out
 }
 
-/// [`ShadowMaps::sample`].
+/// Where [`ShadowMaps::sample`] reads sixteen maps.
+struct Taps {
+    /// First texel: number within the level.
+    first: [u32; LANES],
+    /// Steps to its right and lower neighbour, 0 at the rim.
+    right: [u32; LANES],
+    below: [u32; LANES],
+    fraction: [Lane; 2],
+}
+
+/// * `level`: of each place, on a map of `full` texels a side
 #[inline(always)]
-fn sample(level: &Level, x: f32, y: f32) -> Vec4 {
-    let top = (level.size - 1) as f32;
-    let clamped = |v: f32| {
-        let c = v * level.share - 0.5;
-        let c = if c > 0.0 { c } else { 0.0 };
-        if c < top { c } else { top }
-    };
-    let (x, y) = (clamped(x), clamped(y));
-    let (i, j) = (x as u32, y as u32);
-    let (fx, fy) = (x - i as f32, y - j as f32);
-    let first = (j * level.size + i) as usize;
-    let right = usize::from(i + 1 < level.size);
-    let below = if j + 1 < level.size { level.size as usize } else { 0 };
-    let texel = |i: usize| Vec4::from_array(level.texels[i]);
-    let (a, b) = (texel(first), texel(first + right));
-    let (c, d) = (texel(first + below), texel(first + below + right));
-    let (upper, lower) = (a + (b - a) * fx, c + (d - c) * fx);
-    upper + (lower - upper) * fy
+fn taps(places: &Places, full: u32, level: &[u32; LANES]) -> Taps {
+    let zero = [0u32; LANES];
+    let mut out = Taps { first: zero, right: zero, below: zero, fraction: [[0.0; LANES]; 2] };
+    for lane in 0..LANES {
+        let size = full >> level[lane];
+        // 1 / 2^level.
+        let share = f32::from_bits((127 - level[lane]) << 23);
+        let top = (size - 1) as f32;
+        let clamped = |v: f32| {
+            let c = v * share - 0.5;
+            let c = if c > 0.0 { c } else { 0.0 };
+            if c < top { c } else { top }
+        };
+        let (a, b) = (clamped(places.at[0][lane]), clamped(places.at[1][lane]));
+        let (i, j) = (a as u32, b as u32);
+        out.fraction[0][lane] = a - i as f32;
+        out.fraction[1][lane] = b - j as f32;
+        out.first[lane] = j * size + i;
+        out.right[lane] = u32::from(i + 1 < size);
+        out.below[lane] = if j + 1 < size { size } else { 0 };
+    }
+    out
+}
+
+impl Taps {
+    /// Moments at place `lane` of the level whose texels are `map`.
+    #[inline(always)]
+    fn read(&self, lane: usize, map: &[[f32; 4]]) -> [f32; 4] {
+        let first = self.first[lane] as usize;
+        let (right, below) = (self.right[lane] as usize, self.below[lane] as usize);
+        let texel = |i: usize| Vec4::from_array(map[i]);
+        let (fx, fy) = (self.fraction[0][lane], self.fraction[1][lane]);
+        let (a, b) = (texel(first), texel(first + right));
+        let (c, d) = (texel(first + below), texel(first + below + right));
+        let (upper, lower) = (a + (b - a) * fx, c + (d - c) * fx);
+        (upper + (lower - upper) * fy).to_array()
+    }
 }
 
 /// [`ShadowMaps::visibility`]'s glance at sixteen places; less than 0 where nothing is proven.
@@ -316,18 +339,12 @@ fn soft_moments<'a>(
     options: &MomentOptions,
 ) -> [Lane; 4] {
     let mut moments = [[0.0f32; LANES]; 4];
-    let fetch = |moments: &mut [Lane; 4], lane: usize, level: u32| {
-        let m = sample(&levels(lane)[level as usize], places.at[0][lane], places.at[1][lane]).to_array();
+    let fetch = |moments: &mut [Lane; 4], taps: &Taps, lane: usize, level: u32| {
+        let m = taps.read(lane, levels(lane)[level as usize]);
         for c in 0..4 {
             moments[c][lane] = m[c];
         }
     };
-    if !(view.softness > 0.0) {
-        for lane in (0..LANES).filter(|l| asked[*l]) {
-            fetch(&mut moments, lane, 0);
-        }
-        return moments;
-    }
     let (count, perspective) = (level_count(view.size), view.perspective > 0.5);
     let (mut level, mut fraction) = ([0u32; LANES], [0.0f32; LANES]);
     for lane in 0..LANES {
@@ -336,8 +353,9 @@ fn soft_moments<'a>(
         let (l, f) = level_of(sigma, count);
         level[lane] = l + u32::from(f >= 0.5);
     }
+    let own = taps(places, view.size, &level);
     for lane in (0..LANES).filter(|l| asked[*l]) {
-        fetch(&mut moments, lane, level[lane]);
+        fetch(&mut moments, &own, lane, level[lane]);
     }
     match options.filter {
         ShadowFilter::Vsm => penumbrae(ShadowFilter::Vsm, view, places, &moments, options, &mut level, &mut fraction),
@@ -345,12 +363,20 @@ fn soft_moments<'a>(
             penumbrae(ShadowFilter::Evsm4, view, places, &moments, options, &mut level, &mut fraction)
         }
     }
-    let mut wider = [[0.0f32; LANES]; 4];
+    let own = taps(places, view.size, &level);
+    let mut any = false;
     for lane in (0..LANES).filter(|l| asked[*l]) {
-        fetch(&mut moments, lane, level[lane]);
-        if fraction[lane] > 0.0 {
-            fetch(&mut wider, lane, level[lane] + 1);
-        }
+        fetch(&mut moments, &own, lane, level[lane]);
+        any |= fraction[lane] > 0.0;
+    }
+    if !any {
+        return moments;
+    }
+    let mut wider = moments;
+    let next: [u32; LANES] = std::array::from_fn(|lane| level[lane] + u32::from(fraction[lane] > 0.0));
+    let own = taps(places, view.size, &next);
+    for lane in (0..LANES).filter(|l| asked[*l] & (fraction[*l] > 0.0)) {
+        fetch(&mut wider, &own, lane, next[lane]);
     }
     for c in 0..4 {
         for lane in 0..LANES {
@@ -447,24 +473,36 @@ fn add_filtered_body(points: &mut PointBatch, maps: &ShadowMaps, index: u32, lig
         } else {
             project(|_| view, &p)
         };
-        let squares = |lane: usize| maps.squares[number[lane] as usize].as_slice();
-        let proven = if soft { glances(squares, &view, &places) } else { glances(|_| &[], &view, &places) };
-        let mut asked = [false; LANES];
-        for lane in 0..LANES {
-            asked[lane] = proven[lane] < 0.0;
-        }
-        let visibility = if asked.contains(&true) {
-            let levels = |lane: usize| &levels[(number[lane] - own.first) as usize];
-            let moments = soft_moments(levels, &view, &places, &asked, options);
-            let found = bounds(&moments, &places.depth, options);
-            let mut seen = [0.0f32; LANES];
+        let mut visibility = [1.0f32; LANES];
+        if soft {
+            let proven = glances(|lane| &maps.squares[number[lane] as usize], &view, &places);
+            let mut asked = [false; LANES];
             for lane in 0..LANES {
-                seen[lane] = if asked[lane] { found[lane] } else { proven[lane] };
+                asked[lane] = proven[lane] < 0.0;
             }
-            seen
+            visibility = proven;
+            if asked.contains(&true) {
+                let levels = |lane: usize| &levels[(number[lane] - own.first) as usize];
+                let moments = soft_moments(levels, &view, &places, &asked, options);
+                let found = bounds(&moments, &places.depth, options);
+                for lane in 0..LANES {
+                    visibility[lane] = if asked[lane] { found[lane] } else { proven[lane] };
+                }
+            }
         } else {
-            proven
-        };
+            let taps = taps(&places, view.size, &[0; LANES]);
+            let mut moments = [[0.0f32; LANES]; 4];
+            for lane in (0..LANES).filter(|l| places.inside[*l]) {
+                let [a, b, c, d] = taps.read(lane, &maps.maps[number[lane] as usize]);
+                (moments[0][lane], moments[1][lane]) = (a, b);
+                (moments[2][lane], moments[3][lane]) = (c, d);
+            }
+            let found = bounds(&moments, &places.depth, options);
+            for lane in 0..LANES {
+                // Outside of the map there is no shadow.
+                visibility[lane] = if places.inside[lane] { found[lane] } else { 1.0 };
+            }
+        }
         let mut out = lanes(&points.radiance, at);
         for lane in 0..LANES {
             out[0][lane] += unshadowed[0][lane] * visibility[lane];
