@@ -8,7 +8,7 @@ use catoptra_engine::{
     shapes,
 };
 use catoptra_render_hybrid::{
-    GlassShadows, Image, Layer, RenderError, RenderSettings, Shadows,
+    GlassShadows, Image, Layer, RenderError, RenderSettings, Shadows, SimdLevel,
     image_io::srgb8_from_image,
     raster::{GpuRaster, Indirect},
     twin::{
@@ -204,16 +204,21 @@ const KINDS: [LightKind; 3] =
 #[test]
 fn moments_darken_what_the_twin_darkens() {
     let Some(mut gpu) = lane("moments_darken_what_the_twin_darkens") else { return };
-    for kind in KINDS {
-        let scene = box_over_floor(kind);
-        let on = settings(Shadows::Moments);
+    let mut hard = 0;
+    for (kind, soft) in KINDS.into_iter().flat_map(|kind| [(kind, false), (kind, true)]) {
+        let mut scene = box_over_floor(kind);
+        scene.lights[0].radius = 0.1;
+        let mut on = settings(Shadows::Moments);
+        on.moments.soft = soft;
         let lit = render(&mut gpu, &scene, &settings(Shadows::Off), &[]);
         let shadowed = render(&mut gpu, &scene, &on, &[]);
-        let maps = ShadowMaps { plan: plan(&scene, &on), maps: gpu.read_moments().unwrap(), pyramids: Vec::new() };
+        let (plan, made) = (plan(&scene, &on), gpu.read_moments().unwrap());
+        let mut maps = ShadowMaps { plan, maps: made, ..ShadowMaps::default() };
+        maps.make_levels(SimdLevel::Auto);
         assert_eq!(maps.maps.len(), maps.plan.views.len());
         assert!(maps.maps.iter().zip(&maps.plan.views).all(|(m, v)| m.len() == (v.size * v.size) as usize));
         let places = gpu.read_gbuffer().unwrap();
-        let (mut dark, mut compared) = (0, 0);
+        let (mut dark, mut compared, mut partly) = (0, 0, 0);
         for (i, (a, b)) in lit.pixels.iter().zip(&shadowed.pixels).enumerate() {
             if places.material[i] == u32::MAX || a[0] <= 0.0 {
                 continue;
@@ -221,11 +226,15 @@ fn moments_darken_what_the_twin_darkens() {
             let place = Vec3::from(places.positions_world[i]);
             let twin = maps.visibility(0, scene.lights[0].position_world, place, &on.moments);
             // A steep Chebyshev bound multiplies the depths' rounding.
-            assert!((b[0] / a[0] - twin).abs() < 5e-3, "{kind:?}, pixel {i}: {} against {twin}", b[0] / a[0]);
+            assert!((b[0] / a[0] - twin).abs() < 5e-3, "{kind:?}, {soft}, pixel {i}: {} against {twin}", b[0] / a[0]);
             compared += 1;
             dark += u32::from(twin < 0.05);
+            partly += u32::from(twin > 0.1 && twin < 0.9);
         }
         assert!(compared > 1000 && dark > 20, "{kind:?}: {compared} compared, {dark} dark");
+        println!("{kind:?}, soft: {soft}: {partly} partly lit");
+        assert!(!soft || partly > hard, "{kind:?}: {partly} places are partly lit, {hard} with hard shadows");
+        hard = partly;
     }
 }
 
