@@ -124,7 +124,7 @@ fn furnace_of_emitting_walls() {
 
         let mut sums = ReferenceAccumulator::new(16, 12);
         let options = ReferenceOptions { bounces, ..ReferenceOptions::matching(&settings) };
-        cpu().add_reference(&mut sums, &scene, &options, 4).unwrap();
+        cpu().add_reference(&mut sums, &scene, &options, 64).unwrap();
         let truth = sums.image();
         let mean = truth.pixels.iter().map(|p| f64::from(p[0])).sum::<f64>() / truth.pixels.len() as f64;
         println!("furnace, {bounces} bounces: {mean:.5} by reference for {expected:.5}");
