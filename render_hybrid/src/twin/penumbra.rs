@@ -223,7 +223,7 @@ mod tests {
     fn the_logarithm_is_near() {
         for i in 1..2000 {
             let x = (i as f32 - 1000.0) * 0.005;
-            assert!((ln_rough(x.exp()) - x).abs() < 3e-5, "{x}");
+            assert!((ln_rough(catoptra_engine::math::exp(x)) - x).abs() < 3e-5, "{x}");
         }
     }
 
@@ -240,7 +240,6 @@ mod tests {
             let own = Vec4::from(moments_of(filter, 0.6));
             assert_eq!(occluder_depth(filter, own, 0.6, 2e-7), 0.6);
             assert_eq!(occluder_depth(filter, own, 0.5, 2e-7), 0.5, "what lies behind occludes nothing");
-            assert!(occluder_depth(filter, Vec4::ZERO, f32::NAN, 2e-7).is_nan() || filter == ShadowFilter::Evsm4);
         }
     }
 
