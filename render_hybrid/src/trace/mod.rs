@@ -7,6 +7,7 @@ pub mod direct;
 pub mod emission;
 pub mod explain;
 pub(crate) mod facet;
+pub(crate) mod filtered;
 pub mod media;
 pub(crate) mod meet;
 pub(crate) mod near;
