@@ -2,8 +2,8 @@
 //!
 //! A map is divided into squares of [`SIDE`] texels. Nearness (1/z seen in perspective, −z by parallel light) is an affine function
 //! of the texel where the map shows a plane, so each square keeps one such function and how far above and below it its texels
-//! and those of its neighbours lie, [`REACH`] squares each way. A receiver that is as near as the highest of them is lit by all of the light's disc, if
-//! the disc's image is no wider than a square; one that is farther than the lowest is dark.
+//! and those of its neighbours lie, [`REACH`] squares each way. A receiver that is as near as the highest of them is lit by all of
+//! the light's disc, if the disc's image reaches no farther than these; one that is farther than the lowest is dark.
 //!
 //! Both hold where the plane is not so steep that it shades itself from a part of the disc; steeper ones prove nothing.
 //!
@@ -27,24 +27,12 @@ const SLACK: f32 = 2e-4;
 
 /// Bounds over a square and its neighbours.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
-#[repr(C)]
 pub struct Square {
     /// Nearness at its first texel, and from texel to texel along x and y.
     plane: [f32; 3],
     /// Least and greatest nearness over the plane.
     least: f32,
     greatest: f32,
-}
-
-/// What is proven.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Glance {
-    /// Nothing before the receiver.
-    Lit,
-    /// Nothing but occluders.
-    Dark,
-    /// Ask the moments.
-    Unknown,
 }
 
 /// Squares along a side of a map of `size` texels.
