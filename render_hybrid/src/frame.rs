@@ -180,9 +180,9 @@ pub(crate) fn virtual_lights(
     let start = Instant::now();
     if let Some(vpl) = &settings.vpl {
         // Light that nothing has touched since is the same light.
-        if !state.lit_by.update(scene, settings) {
+        if !state.lit_by.update(scene, settings, state.photons.on_surfels) {
             state.photons.trace(scene, &state.normals, &state.accel, vpl, settings.seed);
-            if vpl.candidates > 1 {
+            if vpl.candidates > 1 && !state.photons.on_surfels {
                 let (normals, accel, size) = (&state.normals, &state.accel, [settings.width, settings.height]);
                 let geometry_term_max = geometry_term_max(scene, settings);
                 state.photons.choose(vpl.count, &View { scene, normals, accel, size, geometry_term_max, level });

@@ -416,7 +416,7 @@ fn light_paths(state: &mut FrameState, scene: &RenderScene, settings: &RenderSet
     state.photons.vpls.clear();
     state.emitters.clear();
     state.vpl_maps.clear();
-    let same = state.lit_on_gpu.update(scene, settings);
+    let same = state.lit_on_gpu.update(scene, settings, false);
     Some((state.photons.paths(scene, &state.normals, vpl, settings.seed), same))
 }
 

@@ -147,6 +147,19 @@ impl Default for MomentOptions {
     }
 }
 
+/// Where VPLs lie.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum VplPlacement {
+    /// Where light paths land: a VPL a landing.
+    #[default]
+    Paths,
+    /// On a pattern of places of their own on every instance, each lit by sixteen landings of light paths ([`crate::trace::surfels`]):
+    /// less noise, and no jumps where a path leaves a moving body. There is no choice among [`VplOptions::candidates`] then.
+    /// Where so few places would not cover the scene's surfaces (very many bodies), where these are folded like an atrium's, where
+    /// visibility is off, and under a cap on rays: as [`Self::Paths`].
+    Surfels,
+}
+
 /// Virtual point lights.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VplOptions {
@@ -156,6 +169,8 @@ pub struct VplOptions {
     /// error, most where lights shine on much that is not seen; 2 to 3 rays a candidate, and VPLs are made anew where the
     /// camera moves. 1: all are kept, whatever the camera sees.
     pub candidates: u32,
+    /// Where they lie.
+    pub placement: VplPlacement,
     /// Diffuse reflections before the last one to the camera path, ≥ 1.
     pub bounces: u32,
     /// Upper bound of cos·cos/d² in 1/m², as a multiple of 1/(scene's bounding radius)²; `None`: no bound (unbiased, with
@@ -187,6 +202,7 @@ impl Default for VplOptions {
         Self {
             count: 256,
             candidates: 1,
+            placement: VplPlacement::Paths,
             bounces: 2,
             geometry_term_max: Some(100.0),
             shadows: VplShadows::Maps,
@@ -252,10 +268,11 @@ impl Default for RenderSettings {
 pub enum Preset {
     /// 16 VPLs without shadows, depth 4: editing.
     Draft,
-    /// 400 VPLs of 800 candidates with shadow maps on a grid of the picture, 64 without in mirrors, filtered shadows, depth 8: play.
+    /// 400 VPLs on surfels (where these do not cover the scene: of 800 candidates) with shadow maps on a grid of the picture, 64
+    /// without in mirrors, filtered shadows, depth 8: play.
     #[default]
     Interactive,
-    /// 6,144 VPLs of four times as many candidates, with shadow maps and the near field, certified soft shadows, depth 16:
+    /// 6,144 VPLs on surfels (elsewhere: of four times as many candidates), with shadow maps and the near field, certified soft shadows, depth 16:
     /// stills.
     High,
 }
@@ -298,6 +315,7 @@ impl RenderSettings {
                 vpl: Some(VplOptions {
                     count: 400,
                     candidates: 2,
+                    placement: VplPlacement::Surfels,
                     geometry_term_max: Some(30.0),
                     map_size: 16,
                     spacing: 16,
@@ -312,6 +330,7 @@ impl RenderSettings {
                 vpl: Some(VplOptions {
                     count: 6144,
                     candidates: 4,
+                    placement: VplPlacement::Surfels,
                     bounces: 3,
                     geometry_term_max: Some(400.0),
                     map_size: 64,

@@ -29,14 +29,15 @@ pub(crate) struct LitBy {
 
 impl LitBy {
     /// True where nothing has changed; remembers the scene.
-    pub fn update(&mut self, scene: &RenderScene, settings: &RenderSettings) -> bool {
+    /// * `on_surfels`: the VPLs lie on surfels, whatever the camera sees
+    pub fn update(&mut self, scene: &RenderScene, settings: &RenderSettings, on_surfels: bool) -> bool {
         let options = settings.vpl.map(|v| (v, settings.glass_shadows, settings.seed));
         let chosen = settings.vpl.is_some_and(|v| v.candidates > 1);
         let view = chosen.then_some((scene.camera, [settings.width, settings.height]));
         let instances = || scene.instances.iter().map(|i| (i.world_from_object, i.mesh, i.material));
         let same = self.known
             && self.options == options
-            && self.view == view
+            && (self.view == view || on_surfels)
             && self.lights == scene.lights
             && self.instances.iter().copied().eq(instances())
             && self.materials == scene.materials
@@ -169,11 +170,11 @@ pub(crate) fn meets(b: &Aabb, origin: Vec3, direction: Vec3) -> bool {
     from <= to * (1.0 + 1e-5) + 1e-6
 }
 
-fn same_arcs<T>(a: &[Arc<T>], b: &[Arc<T>]) -> bool {
+pub(crate) fn same_arcs<T>(a: &[Arc<T>], b: &[Arc<T>]) -> bool {
     a.len() == b.len() && a.iter().zip(b).all(|(a, b)| Arc::ptr_eq(a, b))
 }
 
-fn keep_arcs<T>(to: &mut Vec<Arc<T>>, from: &[Arc<T>]) {
+pub(crate) fn keep_arcs<T>(to: &mut Vec<Arc<T>>, from: &[Arc<T>]) {
     to.clear();
     to.extend(from.iter().cloned());
 }

@@ -94,6 +94,15 @@ pub enum GlassShadowsArg {
     Clear,
 }
 
+/// Where virtual point lights lie.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum VplPlacementArg {
+    /// Where light paths land.
+    Paths,
+    /// On a fixed pattern of every surface, where so many cover it.
+    Surfels,
+}
+
 /// Shadows of virtual point lights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 #[allow(missing_docs)]
@@ -205,6 +214,9 @@ pub struct PictureArgs {
     /// Candidates for each virtual point light: those that give most to the picture are kept; 1: all
     #[arg(long, value_name = "N")]
     pub vpl_candidates: Option<u32>,
+    /// Where virtual point lights lie: where light paths land, or on a fixed pattern of all surfaces
+    #[arg(long, value_enum)]
+    pub vpl_placement: Option<VplPlacementArg>,
     /// Side of the blocks of pixels over which virtual point lights are interleaved: 1 (none), 2 or 4; CPU lane
     #[arg(long, value_name = "N")]
     pub vpl_interleave: Option<u32>,
@@ -349,6 +361,12 @@ impl PictureArgs {
         v.spacing = self.vpl_spacing.unwrap_or(v.spacing);
         v.mirrored = self.mirror_vpls.unwrap_or(v.mirrored);
         v.map_size = self.vpl_map_size.unwrap_or(v.map_size);
+        if let Some(placement) = self.vpl_placement {
+            v.placement = match placement {
+                VplPlacementArg::Paths => hybrid::VplPlacement::Paths,
+                VplPlacementArg::Surfels => hybrid::VplPlacement::Surfels,
+            };
+        }
         if let Some(shadows) = self.vpl_shadows {
             v.shadows = match shadows {
                 VplShadowsArg::Off => hybrid::VplShadows::Off,

@@ -20,7 +20,7 @@ use super::{
 use crate::{
     accel::Ray,
     output::RayCounts,
-    settings::{RenderSettings, VplOptions, VplShadows},
+    settings::{RenderSettings, VplOptions, VplPlacement, VplShadows},
 };
 
 /// Pixels that one task traces. It never shows.
@@ -40,7 +40,12 @@ const LEAST_COSINE: f32 = 0.9;
 /// The settings with as many VPLs as the cap allows, and without the rays around the grid's places. It depends on the settings alone, so that light does not jump from frame
 /// to frame.
 pub fn within_budget(settings: &RenderSettings) -> RenderSettings {
-    let fewer = |budget, vpl: VplOptions| VplOptions { count: vpls_within(budget, &vpl), near_field: false, ..vpl };
+    let fewer = |budget, vpl: VplOptions| VplOptions {
+        count: vpls_within(budget, &vpl),
+        placement: VplPlacement::Paths,
+        near_field: false,
+        ..vpl
+    };
     let vpl = settings.ray_budget.map_or(settings.vpl, |budget| settings.vpl.map(|v| fewer(budget, v)));
     RenderSettings { vpl, ..*settings }
 }

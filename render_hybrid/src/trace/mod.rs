@@ -18,4 +18,5 @@ pub mod reference;
 pub mod sampling;
 pub mod shade;
 pub mod surface;
+pub mod surfels;
 pub mod whitted;

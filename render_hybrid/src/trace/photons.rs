@@ -13,10 +13,11 @@ use super::{
     emission::{self, EmissiveTriangle, PathShares, SourceFrame},
     sampling,
     surface::{NormalMatrices, Surface, surface_at},
+    surfels::{LANDINGS_A_SURFEL, Landing, Surfels},
 };
 use crate::{
     accel::{Accel, Hit, Ray},
-    settings::VplOptions,
+    settings::{VplOptions, VplPlacement, VplShadows},
     twin::vpl::Vpl,
 };
 
@@ -43,6 +44,10 @@ pub struct Photons {
     shares: PathShares,
     paths: Vec<Path>,
     slots: Vec<Vpl>,
+    landings: Vec<Landing>,
+    surfels: Surfels,
+    /// The VPLs lie on surfels.
+    pub on_surfels: bool,
     choice: Choice,
     /// VPLs with flux, in the order of paths.
     pub vpls: Vec<Vpl>,
@@ -92,7 +97,7 @@ struct Path {
 
 impl Photons {
     /// Traces all light paths; afterwards `vpls` holds at most `options.count` · `options.candidates` VPLs (a source beyond
-    /// that number still gets one path).
+    /// that number still gets one path). On surfels there are as many as are lit, at most `options.count` but for both sides of thin sheets.
     pub fn trace(
         &mut self,
         scene: &RenderScene,
@@ -102,21 +107,30 @@ impl Photons {
         seed: u32,
     ) {
         self.vpls.clear();
+        self.slots.clear();
         self.rays = 0;
-        let Some((bounds, slots_a_path)) = self.share(scene, options) else { return };
+        self.on_surfels = wants_surfels(options) && self.surfels.place(scene, normals, options.count);
+        let wanted = options.count * if self.on_surfels { LANDINGS_A_SURFEL } else { options.candidates };
+        let Some((bounds, slots_a_path)) = self.share(scene, options.bounces, wanted) else { return };
         let bounces = options.bounces;
         let paths = &self.paths;
-        self.slots.clear();
-        self.slots.resize(paths.len() * slots_a_path, Vpl::default());
+        self.landings.clear();
+        self.landings.resize(paths.len() * slots_a_path, Landing::default());
         let emissive = &self.emissive;
         let tracer = PathTracer { scene, normals, accel: Some(accel), emissive, bounds, bounces, seed };
         self.rays = self
-            .slots
+            .landings
             .par_chunks_mut(slots_a_path)
             .with_min_len(16)
             .zip(paths)
-            .map(|(slots, path)| tracer.trace(*path, slots))
+            .map(|(landings, path)| tracer.trace(*path, landings))
             .sum();
+        if self.on_surfels {
+            self.surfels.light(accel.simd_level(), &self.landings);
+            self.slots.extend_from_slice(&self.surfels.lit);
+        } else {
+            self.slots.extend(self.landings.iter().map(|l| l.0));
+        }
         self.vpls.extend(self.slots.iter().filter(|v| v.flux != Vec3::ZERO));
     }
 
@@ -136,7 +150,8 @@ impl Photons {
         seed: u32,
     ) -> LightPaths {
         let bounces = options.bounces;
-        let Some((bounds, slots_a_path)) = self.share(scene, options) else { return LightPaths::default() };
+        let wanted = options.count * options.candidates;
+        let Some((bounds, slots_a_path)) = self.share(scene, bounces, wanted) else { return LightPaths::default() };
         let emissive = &self.emissive;
         let tracer = PathTracer { scene, normals, accel: None, emissive, bounds, bounces, seed };
         let numbers = self.paths.iter().map(|p| p.index + 1).max().unwrap_or(0);
@@ -151,8 +166,8 @@ impl Photons {
         }
     }
 
-    /// Shares the paths out among the sources. Bounds of the scene and VPLs of a path; `None` for an empty scene.
-    fn share(&mut self, scene: &RenderScene, options: &VplOptions) -> Option<(catoptra_engine::Aabb, usize)> {
+    /// Shares the paths of `wanted` landings out among the sources. Bounds of the scene and landings of a path; `None` for an empty scene.
+    fn share(&mut self, scene: &RenderScene, bounces: u32, wanted: u32) -> Option<(catoptra_engine::Aabb, usize)> {
         self.paths.clear();
         emission::emissive_triangles(scene, &mut self.emissive);
         let bounds = scene.bounds_world();
@@ -160,9 +175,8 @@ impl Photons {
             return None;
         }
         // A path of a light makes up to `bounces` VPLs, one of an emissive surface one more, for its start.
-        let bounces = options.bounces;
         let slots_a_path = if self.emissive.is_empty() { bounces } else { bounces + 1 } as usize;
-        let paths = (options.count * options.candidates / slots_a_path as u32).max(1);
+        let paths = (wanted / slots_a_path as u32).max(1);
         self.shares.update(scene, &self.emissive, bounds, paths);
         for (source, &of) in self.shares.shares.iter().enumerate() {
             self.paths.extend((0..of).map(|index| Path { source: source as u32, index, of }));
@@ -213,13 +227,13 @@ impl PathTracer<'_> {
         PathStart { ray, flux: vpl.flux, vpl: Some(vpl), index: path.index, source: path.source }
     }
 
-    /// Fills a path's slots; returns the number of rays.
-    fn trace(&self, path: Path, slots: &mut [Vpl]) -> u64 {
+    /// Fills in a path's landings; returns the number of rays.
+    fn trace(&self, path: Path, landings: &mut [Landing]) -> u64 {
         let Some(accel) = self.accel else { return 0 };
         let PathStart { mut ray, mut flux, vpl, .. } = self.start(path);
         let mut used = 0;
         if let Some(vpl) = vpl {
-            slots[0] = vpl;
+            landings[0] = (vpl, self.emissive[self.emissive_at(path).0].instance_id);
             used = 1;
         }
         let mut rays = 0;
@@ -237,7 +251,7 @@ impl PathTracer<'_> {
             // Mirror and glass end the photon; a mixed material reflects its matte share diffusely.
             let albedo = if m.unlit { Vec3::ZERO } else { s.base_color * (s.look.diffuse * s.look.matte_weight()) };
             flux *= albedo;
-            slots[used] = vpl_at(&s, flux);
+            landings[used] = (vpl_at(&s, flux), s.instance_id);
             used += 1;
             let d = sampling::cosine_direction(s.n_shading, bounce_sample(path.index, bounce, self.seed));
             ray = s.leaving_ray(d);
@@ -248,11 +262,17 @@ impl PathTracer<'_> {
         rays
     }
 
+    /// The triangle that a path starts on, where it lies in the sum of all, and that sum.
+    fn emissive_at(&self, path: Path) -> (usize, f32, f32) {
+        let total = self.emissive.last().map_or(0.0, |t| t.cumulative);
+        let target = self.xi(path).x * total;
+        let at = self.emissive.partition_point(|t| t.cumulative <= target).min(self.emissive.len() - 1);
+        (at, target, total)
+    }
+
     /// A VPL on an emissive surface: both sides radiate, the path takes one.
     fn emissive_start(&self, path: Path, xi: Vec2, share: f32) -> Vpl {
-        let total = self.emissive.last().map_or(0.0, |t| t.cumulative);
-        let target = xi.x * total;
-        let at = self.emissive.partition_point(|t| t.cumulative <= target).min(self.emissive.len() - 1);
+        let (at, target, total) = self.emissive_at(path);
         let t = &self.emissive[at];
         let before = if at == 0 { 0.0 } else { self.emissive[at - 1].cumulative };
         let probability = (t.cumulative - before) / total;
@@ -278,6 +298,11 @@ impl PathTracer<'_> {
     }
 }
 
-fn vpl_at(s: &Surface, flux: Vec3) -> Vpl {
+/// Surfels are for VPLs with visibility: those without are so few, and the GPU's tracer makes them, too.
+fn wants_surfels(options: &VplOptions) -> bool {
+    options.placement == VplPlacement::Surfels && options.shadows != VplShadows::Off
+}
+
+pub(crate) fn vpl_at(s: &Surface, flux: Vec3) -> Vpl {
     Vpl { position_world: s.position_world, normal_world: s.n_shading, flux, error: s.error }
 }

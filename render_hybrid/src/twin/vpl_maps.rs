@@ -10,10 +10,13 @@
 //! 2014 (the octahedral map); Reeves et al., "Rendering Antialiased Shadows with Depth Maps", SIGGRAPH 1987 (comparing
 //! before filtering).
 
-use catoptra_engine::RenderScene;
+use catoptra_engine::{Aabb, RenderScene};
 use glam::{Vec2, Vec3};
 use rayon::prelude::*;
-use std::sync::{Mutex, PoisonError};
+use std::{
+    collections::HashMap,
+    sync::{Mutex, PoisonError},
+};
 
 use super::vpl::Vpl;
 use crate::{
@@ -41,6 +44,9 @@ pub struct VplMaps {
     /// Centre of each map, and the normal of its VPL.
     made_for: Vec<(Vec3, Vec3)>,
     made_by: MapsBy,
+    /// Maps of the frame before, and which is whose.
+    before: Vec<f32>,
+    owners: HashMap<[u32; 6], u32>,
     scratch: Vec<Mutex<Scratch>>,
 }
 
@@ -51,6 +57,35 @@ struct Scratch {
     hits: Vec<Hit>,
     /// Texel of each ray.
     places: Vec<u32>,
+    cones: Vec<Cone>,
+}
+
+/// What has changed, seen from a VPL: the cone around the box's ball tells most directions off at once.
+#[derive(Clone, Copy, Debug)]
+struct Cone {
+    bounds: Aabb,
+    /// From the VPL to the ball's centre, and the square of the length of the tangents to the ball; ≤ 0 within it.
+    axis: Vec3,
+    tangent_squared: f32,
+}
+
+impl Cone {
+    /// `None` where all of the box lies below the horizon.
+    fn new(bounds: &Aabb, origin: Vec3, normal: Vec3) -> Option<Self> {
+        let (axis, radius) = (bounds.center() - origin, bounds.radius());
+        let slack = 1e-3 * (radius + axis.length());
+        // Not a number where bounds are infinite: those count.
+        let below = axis.dot(normal) + radius + slack <= 0.0;
+        let tangent_squared = axis.length_squared() - (radius + slack) * (radius + slack);
+        (!below).then_some(Self { bounds: *bounds, axis, tangent_squared })
+    }
+
+    fn meets(&self, origin: Vec3, direction: Vec3) -> bool {
+        let along = self.axis.dot(direction);
+        let outside = self.tangent_squared > 0.0
+            && (along <= 0.0 || along * along < self.tangent_squared * direction.length_squared());
+        !outside && meets(&self.bounds, origin, direction)
+    }
 }
 
 /// Point on the octahedron |x|+|y|+|z| = 1 of `e` in [-1, 1]².
@@ -177,7 +212,7 @@ impl VplMaps {
         self.made_by.forget();
     }
 
-    /// Makes the maps of `vpls` by rays; returns their number. `size` 0: none. Where a VPL is where it was, only those texels
+    /// Makes the maps of `vpls` by rays; returns their number. `size` 0: none. Where a VPL lies where one lay, only those texels
     /// are made whose rays may meet what has moved since; the others would be the same.
     pub fn render(
         &mut self,
@@ -194,7 +229,13 @@ impl VplMaps {
         let comparable = self.made_by.update(scene, accel, size, glass_shadows);
         self.size = size;
         let area = (size * size) as usize;
-        let known = if comparable { self.made_for.len().min(vpls.len()) } else { 0 };
+        let key = |(p, n): (Vec3, Vec3)| [p.x, p.y, p.z, n.x, n.y, n.z].map(f32::to_bits);
+        self.owners.clear();
+        if comparable {
+            self.owners.extend(self.made_for.iter().zip(0..).map(|(&lay, i)| (key(lay), i)));
+        }
+        std::mem::swap(&mut self.texels, &mut self.before);
+        let (before, owners) = (&self.before, &self.owners);
         let changed = self.made_by.changed.as_slice();
         self.made_for.resize(vpls.len(), (Vec3::ZERO, Vec3::ZERO));
         self.texels.resize(vpls.len() * area, 0.0);
@@ -206,6 +247,7 @@ impl VplMaps {
             make_room(&mut s.rays, area);
             make_room(&mut s.hits, area);
             make_room(&mut s.places, area);
+            make_room(&mut s.cones, changed.len());
         }
         let casts = |hit: &Hit| {
             let m = &scene.materials[scene.instances[hit.instance_id as usize].material as usize];
@@ -215,19 +257,25 @@ impl VplMaps {
             .par_chunks_mut(area)
             .zip(&mut self.made_for)
             .zip(vpls)
-            .enumerate()
             .with_min_len(4)
-            .map(|(i, ((map, made_for), vpl))| {
+            .map(|((map, made_for), vpl)| {
                 let own = rayon::current_thread_index().unwrap_or(0) % scratch.len();
                 let mut own = scratch[own].lock().unwrap_or_else(PoisonError::into_inner);
-                let Scratch { rays, hits, places } = &mut *own;
+                let Scratch { rays, hits, places, cones } = &mut *own;
                 rays.clear();
                 places.clear();
                 let origin = map_center(vpl);
-                let kept = i < known && *made_for == (origin, vpl.normal_world);
                 *made_for = (origin, vpl.normal_world);
-                if !kept {
-                    map.fill(0.0);
+                let earlier = owners.get(&key(*made_for)).map(|&at| at as usize * area);
+                let kept = earlier.is_some();
+                match earlier {
+                    Some(at) => map.copy_from_slice(&before[at..at + area]),
+                    None => map.fill(0.0),
+                }
+                cones.clear();
+                cones.extend(changed.iter().filter_map(|b| Cone::new(b, origin, vpl.normal_world)));
+                if kept && cones.is_empty() {
+                    return 0;
                 }
                 for by in (0..size).step_by(4) {
                     for bx in (0..size).step_by(4) {
@@ -237,7 +285,7 @@ impl VplMaps {
                                 let direction = octahedron_point(c);
                                 // Below the VPL's horizon it gives no light.
                                 if vpl.normal_world.dot(direction) > 0.0
-                                    && (!kept || changed.iter().any(|b| meets(b, origin, direction)))
+                                    && (!kept || cones.iter().any(|c| c.meets(origin, direction)))
                                 {
                                     rays.push(Ray::new(origin, direction));
                                     places.push(y * size + x);
