@@ -11,6 +11,7 @@ use rayon::prelude::*;
 use super::{
     choice::{Choice, View},
     emission::{self, EmissiveTriangle, PathShares, SourceFrame},
+    reuse::Reuse,
     sampling,
     surface::{NormalMatrices, Surface, surface_at},
 };
@@ -44,6 +45,7 @@ pub struct Photons {
     paths: Vec<Path>,
     slots: Vec<Vpl>,
     choice: Choice,
+    reuse: Reuse,
     /// VPLs with flux, in the order of paths.
     pub vpls: Vec<Vpl>,
     /// Rays traced.
@@ -82,17 +84,17 @@ pub struct PathStart {
 
 /// One light path to trace.
 #[derive(Clone, Copy, Debug)]
-struct Path {
+pub(super) struct Path {
     /// Light, or `lights.len()` for the emissive triangles.
-    source: u32,
+    pub source: u32,
     /// Number within its source, and how many that source has.
-    index: u32,
-    of: u32,
+    pub index: u32,
+    pub of: u32,
 }
 
 impl Photons {
     /// Traces all light paths; afterwards `vpls` holds at most `options.count` · `options.candidates` VPLs (a source beyond
-    /// that number still gets one path).
+    /// that number still gets one path). With `options.reuse`, paths of the frame before are followed on (`trace/reuse.rs`).
     pub fn trace(
         &mut self,
         scene: &RenderScene,
@@ -103,20 +105,29 @@ impl Photons {
     ) {
         self.vpls.clear();
         self.rays = 0;
-        let Some((bounds, slots_a_path)) = self.share(scene, options) else { return };
+        let Some((bounds, slots_a_path)) = self.share(scene, options) else { return self.reuse.forget() };
         let bounces = options.bounces;
+        if options.reuse > 0 {
+            list_paths(self.reuse.begin(scene, options, seed, &self.shares.shares), &mut self.paths);
+        } else {
+            self.reuse.forget();
+        }
         let paths = &self.paths;
         self.slots.clear();
         self.slots.resize(paths.len() * slots_a_path, Vpl::default());
         let emissive = &self.emissive;
         let tracer = PathTracer { scene, normals, accel: Some(accel), emissive, bounds, bounces, seed };
-        self.rays = self
-            .slots
-            .par_chunks_mut(slots_a_path)
-            .with_min_len(16)
-            .zip(paths)
-            .map(|(slots, path)| tracer.trace(*path, slots))
-            .sum();
+        self.rays = if options.reuse > 0 {
+            let most = (options.reuse as usize / slots_a_path).max(1);
+            self.reuse.trace(&tracer, paths, most, &mut self.slots)
+        } else {
+            self.slots
+                .par_chunks_mut(slots_a_path)
+                .with_min_len(16)
+                .zip(paths)
+                .map(|(slots, path)| tracer.trace(*path, slots))
+                .sum()
+        };
         self.vpls.extend(self.slots.iter().filter(|v| v.flux != Vec3::ZERO));
     }
 
@@ -125,6 +136,21 @@ impl Photons {
         self.rays += self.choice.keep(&mut self.slots, wanted as usize, view);
         self.vpls.clear();
         self.vpls.extend(self.slots.iter().filter(|v| v.flux != Vec3::ZERO));
+    }
+
+    /// The kept paths are gone.
+    pub(crate) fn forget(&mut self) {
+        self.reuse.forget();
+    }
+
+    /// True where fewer paths were begun anew than were wanted: the next frame goes on with it though nothing move.
+    pub(crate) fn is_unsettled(&self) -> bool {
+        self.reuse.is_unsettled()
+    }
+
+    /// How many of the VPLs with flux belong to paths kept from the frame before.
+    pub(crate) fn reused(&self) -> u32 {
+        self.reuse.count(&self.slots)
     }
 
     /// What [`Self::trace`] would follow, for a tracer on the GPU.
@@ -136,6 +162,7 @@ impl Photons {
         seed: u32,
     ) -> LightPaths {
         let bounces = options.bounces;
+        self.reuse.forget();
         let Some((bounds, slots_a_path)) = self.share(scene, options) else { return LightPaths::default() };
         let emissive = &self.emissive;
         let tracer = PathTracer { scene, normals, accel: None, emissive, bounds, bounces, seed };
@@ -164,21 +191,27 @@ impl Photons {
         let slots_a_path = if self.emissive.is_empty() { bounces } else { bounces + 1 } as usize;
         let paths = (options.count * options.candidates / slots_a_path as u32).max(1);
         self.shares.update(scene, &self.emissive, bounds, paths);
-        for (source, &of) in self.shares.shares.iter().enumerate() {
-            self.paths.extend((0..of).map(|index| Path { source: source as u32, index, of }));
-        }
+        list_paths(&self.shares.shares, &mut self.paths);
         Some((bounds, slots_a_path))
     }
 }
 
-struct PathTracer<'a> {
-    scene: &'a RenderScene,
-    normals: &'a NormalMatrices,
+/// All paths, source after source.
+fn list_paths(shares: &[u32], paths: &mut Vec<Path>) {
+    paths.clear();
+    for (source, &of) in shares.iter().enumerate() {
+        paths.extend((0..of).map(|index| Path { source: source as u32, index, of }));
+    }
+}
+
+pub(super) struct PathTracer<'a> {
+    pub scene: &'a RenderScene,
+    pub normals: &'a NormalMatrices,
     /// Not needed for starts.
-    accel: Option<&'a Accel>,
+    pub accel: Option<&'a Accel>,
     emissive: &'a [EmissiveTriangle],
-    bounds: catoptra_engine::Aabb,
-    bounces: u32,
+    pub bounds: catoptra_engine::Aabb,
+    pub bounces: u32,
     seed: u32,
 }
 
@@ -199,7 +232,7 @@ impl PathTracer<'_> {
         PathStart { ray: e.ray, flux: e.flux * share, vpl: None, index: path.index, source: path.source }
     }
 
-    fn start(&self, path: Path) -> PathStart {
+    pub fn start(&self, path: Path) -> PathStart {
         let xi = self.xi(path);
         let share = 1.0 / path.of as f32;
         if (path.source as usize) < self.scene.lights.len() {
@@ -214,16 +247,21 @@ impl PathTracer<'_> {
     }
 
     /// Fills a path's slots; returns the number of rays.
-    fn trace(&self, path: Path, slots: &mut [Vpl]) -> u64 {
-        let Some(accel) = self.accel else { return 0 };
-        let PathStart { mut ray, mut flux, vpl, .. } = self.start(path);
+    pub fn trace(&self, path: Path, slots: &mut [Vpl]) -> u64 {
+        let PathStart { ray, flux, vpl, .. } = self.start(path);
         let mut used = 0;
         if let Some(vpl) = vpl {
             slots[0] = vpl;
             used = 1;
         }
-        let mut rays = 0;
-        for bounce in 0..self.bounces {
+        self.follow(path.index, 0, ray, flux, &mut slots[used..])
+    }
+
+    /// Follows path number `index` from its reflection `first` on, along `ray`; returns the number of rays.
+    pub fn follow(&self, index: u32, first: u32, mut ray: Ray, mut flux: Vec3, slots: &mut [Vpl]) -> u64 {
+        let Some(accel) = self.accel else { return 0 };
+        let (mut used, mut rays) = (0, 0);
+        for bounce in first..self.bounces {
             if flux == Vec3::ZERO {
                 break;
             }
@@ -233,19 +271,25 @@ impl PathTracer<'_> {
                 break;
             }
             let s = surface_at(self.scene, self.normals, &ray, &hit);
-            let m = &self.scene.materials[s.material as usize];
-            // Mirror and glass end the photon; a mixed material reflects its matte share diffusely.
-            let albedo = if m.unlit { Vec3::ZERO } else { s.base_color * (s.look.diffuse * s.look.matte_weight()) };
-            flux *= albedo;
+            flux *= self.albedo(&s);
             slots[used] = vpl_at(&s, flux);
             used += 1;
-            let d = sampling::cosine_direction(s.n_shading, bounce_sample(path.index, bounce, self.seed));
-            ray = s.leaving_ray(d);
-            if s.n_geometric.dot(d) <= 0.0 {
-                break;
-            }
+            let Some(next) = self.leave(index, bounce, &s) else { break };
+            ray = next;
         }
         rays
+    }
+
+    /// Mirror and glass end the photon; a mixed material reflects its matte share diffusely.
+    pub fn albedo(&self, s: &Surface) -> Vec3 {
+        let m = &self.scene.materials[s.material as usize];
+        if m.unlit { Vec3::ZERO } else { s.base_color * (s.look.diffuse * s.look.matte_weight()) }
+    }
+
+    /// The ray on which path number `index` goes on after its reflection `bounce`; `None`: into the surface.
+    pub fn leave(&self, index: u32, bounce: u32, s: &Surface) -> Option<Ray> {
+        let d = sampling::cosine_direction(s.n_shading, bounce_sample(index, bounce, self.seed));
+        (s.n_geometric.dot(d) > 0.0).then(|| s.leaving_ray(d))
     }
 
     /// A VPL on an emissive surface: both sides radiate, the path takes one.
@@ -278,6 +322,6 @@ impl PathTracer<'_> {
     }
 }
 
-fn vpl_at(s: &Surface, flux: Vec3) -> Vpl {
+pub(super) fn vpl_at(s: &Surface, flux: Vec3) -> Vpl {
     Vpl { position_world: s.position_world, normal_world: s.n_shading, flux, error: s.error }
 }

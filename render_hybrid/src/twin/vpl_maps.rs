@@ -41,7 +41,16 @@ pub struct VplMaps {
     /// Centre of each map, and the normal of its VPL.
     made_for: Vec<(Vec3, Vec3)>,
     made_by: MapsBy,
+    spare: Spare,
     scratch: Vec<Mutex<Scratch>>,
+}
+
+/// Memory for bringing maps to other places of the list.
+#[derive(Debug, Default)]
+struct Spare {
+    texels: Vec<f32>,
+    made_for: Vec<(Vec3, Vec3)>,
+    order: Vec<usize>,
 }
 
 /// Memory of a thread.
@@ -177,7 +186,34 @@ impl VplMaps {
         self.made_by.forget();
     }
 
-    /// Makes the maps of `vpls` by rays; returns their number. `size` 0: none. Where a VPL is where it was, only those texels
+    /// Brings the maps of VPLs that stand where one stood before, wherever in the list, to their places.
+    fn find_again(&mut self, vpls: &[Vpl], area: usize) {
+        let key = |vpl: &Vpl| (map_center(vpl), vpl.normal_world);
+        if vpls.iter().zip(&self.made_for).all(|(vpl, made_for)| key(vpl) == *made_for) {
+            return;
+        }
+        let bits = |(c, n): (Vec3, Vec3)| [c.x, c.y, c.z, n.x, n.y, n.z].map(f32::to_bits);
+        let Self { texels, made_for, spare, .. } = self;
+        spare.order.clear();
+        spare.order.extend(0..made_for.len());
+        spare.order.sort_unstable_by_key(|&i| (bits(made_for[i]), i));
+        spare.texels.resize(vpls.len() * area, 0.0);
+        spare.made_for.clear();
+        for (vpl, map) in vpls.iter().zip(spare.texels.chunks_mut(area)) {
+            let key = key(vpl);
+            let at = spare.order.partition_point(|&i| bits(made_for[i]) < bits(key));
+            let found = spare.order.get(at).copied().filter(|&i| made_for[i] == key);
+            if let Some(i) = found {
+                map.copy_from_slice(&texels[i * area..(i + 1) * area]);
+            }
+            // No VPL has this normal.
+            spare.made_for.push(found.map_or((Vec3::ZERO, Vec3::ZERO), |i| made_for[i]));
+        }
+        std::mem::swap(texels, &mut spare.texels);
+        std::mem::swap(made_for, &mut spare.made_for);
+    }
+
+    /// Makes the maps of `vpls` by rays; returns their number. `size` 0: none. Where a VPL is where one was, only those texels
     /// are made whose rays may meet what has moved since; the others would be the same.
     pub fn render(
         &mut self,
@@ -194,6 +230,9 @@ impl VplMaps {
         let comparable = self.made_by.update(scene, accel, size, glass_shadows);
         self.size = size;
         let area = (size * size) as usize;
+        if comparable {
+            self.find_again(vpls, area);
+        }
         let known = if comparable { self.made_for.len().min(vpls.len()) } else { 0 };
         let changed = self.made_by.changed.as_slice();
         self.made_for.resize(vpls.len(), (Vec3::ZERO, Vec3::ZERO));
