@@ -241,7 +241,7 @@ impl Reuse {
         self.unsettled = false;
     }
 
-    /// True where lost paths still wait for their successors.
+    /// True where sites still wait for their paths.
     pub fn is_unsettled(&self) -> bool {
         self.unsettled
     }
@@ -391,8 +391,7 @@ impl Reuse {
             self.sources[of].free -= 1;
             self.begin_path(of, site, seat);
         }
-        while left > 0 {
-            let Some((of, site)) = self.emptiest(BARE, |s| s.open) else { return };
+        while let Some((of, site)) = self.emptiest(BARE, |s| s.open) {
             self.find_crowds(of);
             let most = CROWDED * self.gaps[site].squared;
             let crowded = self.sources[of].paths.clone().min_by(|&a, &b| {
@@ -401,6 +400,10 @@ impl Reuse {
             });
             match crowded.filter(|&i| self.crowds[i].squared < most) {
                 None => self.sources[of].open = false,
+                Some(_) if left == 0 => {
+                    self.unsettled = true;
+                    return;
+                }
                 Some(seat) => {
                     left -= 1;
                     self.end_path(of, seat);
@@ -452,9 +455,10 @@ impl Reuse {
         self.crowds.iter_mut().filter(|c| c.seat == seat).for_each(|c| *c = Gap::FAR);
     }
 
-    /// Finds how close each path of a source stands to another of those that were kept, once a frame.
+    /// Finds how close each path of a source stands to another of those that may be taken away, once a frame. Paths on their
+    /// own sites may not: so each that is begun at rest is there for good, and all comes to rest.
     fn find_crowds(&mut self, of: usize) {
-        let Self { sources, seats, crowds, .. } = self;
+        let Self { sources, seats, crowds, gaps, .. } = self;
         let source = &mut sources[of];
         if std::mem::replace(&mut source.crowds_known, true) {
             return;
@@ -462,13 +466,16 @@ impl Reuse {
         crowds.resize(seats.len(), Gap::FAR);
         let (source, seats, range) = (&*source, &*seats, source.paths.clone());
         let first = range.start;
-        crowds[range].par_iter_mut().enumerate().with_min_len(16).for_each(|(k, crowd)| {
+        crowds[range.clone()].par_iter_mut().enumerate().with_min_len(16).for_each(|(k, crowd)| {
             let seat = &seats[first + k];
             *crowd = match &seat.place {
                 Some(place) if seat.kept => source.nearest(place, seats, first + k),
                 _ => Gap::FAR,
             };
         });
+        for gap in gaps[range].iter().filter(|g| g.squared <= HOME && g.seat != usize::MAX) {
+            crowds[gap.seat] = Gap::FAR;
+        }
     }
 
     /// Divides the light of all sites among the paths. What gets none ends.
