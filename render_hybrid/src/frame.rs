@@ -180,7 +180,8 @@ pub(crate) fn virtual_lights(
     let start = Instant::now();
     if let Some(vpl) = &settings.vpl {
         // Light that nothing has touched since is the same light.
-        if !state.lit_by.update(scene, settings, state.photons.on_surfels) {
+        let same = state.lit_by.update(scene, settings, state.photons.on_surfels);
+        if !same || state.photons.is_unsettled() || state.near_lights.is_unsettled() {
             state.photons.trace(scene, &state.normals, &state.accel, vpl, settings.seed);
             if vpl.candidates > 1 && !state.photons.on_surfels {
                 let (normals, accel, size) = (&state.normals, &state.accel, [settings.width, settings.height]);
@@ -194,7 +195,7 @@ pub(crate) fn virtual_lights(
             state.emitters.extend(state.photons.vpls.iter().map(Emitter::from));
             state.mirrored_emitters.clear();
             if vpl.mirrored > 0 {
-                let few = VplOptions { count: vpl.mirrored, candidates: 1, ..*vpl };
+                let few = VplOptions { count: vpl.mirrored, candidates: 1, reuse: 0, ..*vpl };
                 state.mirrored.trace(scene, &state.normals, &state.accel, &few, settings.seed);
                 stats.rays.photon += state.mirrored.rays;
                 state.mirrored_emitters.extend(state.mirrored.vpls.iter().map(Emitter::from));
@@ -205,9 +206,13 @@ pub(crate) fn virtual_lights(
             let near = state.near_lights.make(scene, &state.normals, &state.accel, settings);
             stats.rays.photon += near[0];
             stats.rays.vpl_maps += near[1];
+            stats.vpls_reused = state.photons.reused();
+        } else if vpl.reuse > 0 {
+            stats.vpls_reused = state.photons.vpls.len() as u32;
         }
     } else {
         state.lit_by.forget();
+        state.photons.forget();
         state.photons.vpls.clear();
         state.emitters.clear();
         state.mirrored_emitters.clear();

@@ -400,11 +400,11 @@ fn traces_on_gpu(
 }
 
 /// True where VPLs are made on the GPU: where nothing on the CPU looks at them, as their shadow maps and rays to them do, and
-/// mirrors are lit by the same ones.
+/// mirrors are lit by the same ones; VPLs that are kept from frame to frame are the CPU's.
 fn photons_on_gpu(gpu: &GpuRaster, settings: &RenderSettings) -> bool {
-    let alone = settings
-        .vpl
-        .is_some_and(|v| v.shadows == VplShadows::Off && v.mirrored == 0 && v.candidates == 1 && !v.near_field);
+    let alone = settings.vpl.is_some_and(|v| {
+        v.shadows == VplShadows::Off && v.mirrored == 0 && v.candidates == 1 && !v.near_field && v.reuse == 0
+    });
     settings.traced && gpu.has_photons() && alone
 }
 

@@ -216,6 +216,8 @@ pub struct FrameStats {
     pub tlas_nodes_touched: u32,
     /// VPLs with flux.
     pub vpls: u32,
+    /// Those of them whose light paths were kept from the frame before ([`crate::VplOptions::reuse`]).
+    pub vpls_reused: u32,
     /// Bytes sent to the GPU.
     pub bytes_up: u64,
     /// Bytes read back from the GPU.

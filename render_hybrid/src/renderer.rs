@@ -61,7 +61,8 @@ pub fn render_to_image(scene: &RenderScene, settings: &RenderSettings) -> Result
     Ok(Renderer::new(RendererOptions::default())?.render(scene, settings)?.image)
 }
 
-/// What a frame works on and leaves for the next one. It speeds the next frame up and never changes it.
+/// What a frame works on and leaves for the next one. It speeds the next frame up and never changes it, but for kept light
+/// paths where [`crate::VplOptions::reuse`] asks for them.
 pub(crate) struct FrameState {
     /// Counts frames.
     pub serial: u64,
@@ -306,7 +307,8 @@ impl Renderer {
         self.render(&tracer_choice::measured_scene(), &settings).map(|_| ())
     }
 
-    /// Makes one picture. Right on the first call; the same scene and settings give the same picture ever after.
+    /// Makes one picture. Right on the first call; the same scene and settings give the same picture ever after (with
+    /// [`crate::VplOptions::reuse`]: the same frames one after the other do).
     ///
     /// Where the lane was `Auto` and the GPU fails (lost, out of memory, a scene beyond its limits), the CPU lane makes this
     /// picture and all later ones; [`Self::fault`] says why.

@@ -1,5 +1,5 @@
 //! What a user can choose. Everything here but [`RendererOptions`] may change from frame to frame; every field says what
-//! more of it costs. A pixel is a function of (scene, pixel, these settings).
+//! more of it costs. A pixel is a function of (scene, pixel, these settings), but where [`VplOptions::reuse`] asks for history.
 
 /// Who makes direct and indirect light.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -195,6 +195,11 @@ pub struct VplOptions {
     /// VPLs, without visibility, that light what mirrors and glass show, a set of their own; 0: the same as what is seen
     /// directly. Cost is linear in it, for each hit. With [`Self::spacing`] they also light pixels that the grid cannot tell.
     pub mirrored: u32,
+    /// Most VPLs that are made anew in a frame whose lights or bodies have moved; the others stay where they were as long as
+    /// their light sees them, and their flux follows it. 0: off, a frame is the same whatever came before it. Lower: fewer
+    /// rays for maps, but light lags behind what moved quickly; at least one light path is begun anew. A frame then depends
+    /// on the frames before it. Not for the set of mirrors, which has no maps; VPLs are made on the CPU, where light paths land.
+    pub reuse: u32,
 }
 
 impl Default for VplOptions {
@@ -211,6 +216,7 @@ impl Default for VplOptions {
             spacing: 1,
             near_field: false,
             mirrored: 0,
+            reuse: 0,
         }
     }
 }
@@ -387,6 +393,9 @@ impl RenderSettings {
             }
             if v.mirrored > 1 << 20 {
                 return Some(format!("{} VPLs for mirrors: 0 to 1048576", v.mirrored));
+            }
+            if v.reuse > 1 << 20 {
+                return Some(format!("{} VPLs made anew a frame: 0 to 1048576", v.reuse));
             }
             if ![16, 32, 64].contains(&v.map_size) {
                 return Some(format!("VPL maps of {} texels: 16, 32 or 64", v.map_size));

@@ -1,9 +1,12 @@
 //! What did not change since the frame before is not made again. Everything that a stage reads is compared, so that a kept
 //! result is the one that would be made.
 
-use catoptra_engine::{Aabb, Camera, Light, Material, Mesh, RenderScene, Texture};
+use catoptra_engine::{Aabb, Camera, Light, LightKind, Material, Mesh, RenderScene, Texture};
 use glam::{Affine3, Vec3};
-use std::sync::Arc;
+use std::{
+    mem::{Discriminant, discriminant},
+    sync::Arc,
+};
 
 use crate::{
     accel::Accel,
@@ -58,6 +61,53 @@ impl LitBy {
     }
 
     /// The VPLs are gone.
+    pub fn forget(&mut self) {
+        self.known = false;
+    }
+}
+
+/// What light paths that are kept were begun in: what may change without being moved.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct KeptBy {
+    known: bool,
+    /// Numbers of VPLs, candidates and bounces, and the seed.
+    options: [u32; 4],
+    lights: Vec<(u64, Discriminant<LightKind>)>,
+    /// Stable id, mesh and material by instance.
+    instances: Vec<(u64, u32, u32)>,
+    materials: Vec<Material>,
+    meshes: Vec<Arc<Mesh>>,
+    textures: Vec<Arc<Texture>>,
+}
+
+impl KeptBy {
+    /// True where nothing has changed but poses, cameras, intensities and cones; remembers the scene.
+    pub fn update(&mut self, scene: &RenderScene, vpl: &VplOptions, seed: u32) -> bool {
+        let options = [vpl.count, vpl.candidates, vpl.bounces, seed];
+        let lights = || scene.lights.iter().map(|l| (l.stable_id, discriminant(&l.kind)));
+        let instances = || scene.instances.iter().map(|i| (i.stable_id, i.mesh, i.material));
+        let same = self.known
+            && self.options == options
+            && self.lights.iter().copied().eq(lights())
+            && self.instances.iter().copied().eq(instances())
+            && self.materials == scene.materials
+            && same_arcs(&self.meshes, &scene.meshes)
+            && same_arcs(&self.textures, &scene.textures);
+        if !same {
+            self.known = true;
+            self.options = options;
+            self.lights.clear();
+            self.lights.extend(lights());
+            self.instances.clear();
+            self.instances.extend(instances());
+            self.materials.clone_from(&scene.materials);
+            keep_arcs(&mut self.meshes, &scene.meshes);
+            keep_arcs(&mut self.textures, &scene.textures);
+        }
+        same
+    }
+
+    /// The paths are gone.
     pub fn forget(&mut self) {
         self.known = false;
     }

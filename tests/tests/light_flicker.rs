@@ -1,21 +1,39 @@
 //! Does indirect light boil? Its change from frame to frame, less that of an oracle with many VPLs and traced visibility, at
 //! pixels that show the same place.
 
-use catoptra_engine::RenderScene;
+use catoptra_engine::{RenderScene, app::advance};
 use catoptra_render_hybrid::{Image, Layer, Preset, RenderSettings, Renderer, VplOptions};
-use catoptra_tests::fixtures::{SCENE_NAMES, cpu, full_vpls, scene_at, small};
+use catoptra_tests::fixtures::{SCENE_NAMES, app_at, cpu, extracted, full_vpls, small};
 
 /// Picture of the quick test.
 const SIZE: (u32, u32) = (48, 32);
 /// Of the long one: a few places stand for all where every one costs 65,536 rays a frame.
 const FEW: (u32, u32) = (16, 12);
 
-/// Indirect layer, and depth and albedo, which tell whether a pixel shows the same place.
-fn layers(renderer: &mut Renderer, scene: &RenderScene, (width, height): (u32, u32), vpl: VplOptions) -> [Image; 3] {
+/// Indirect layer, and depth and albedo, which tell whether a pixel shows the same place; and the rays of the VPLs' maps.
+fn layers(
+    renderer: &mut Renderer,
+    scene: &RenderScene,
+    (width, height): (u32, u32),
+    vpl: VplOptions,
+) -> ([Image; 3], u64) {
     let mut settings = small(width, height, 64);
     (settings.keep_layers, settings.traced, settings.vpl) = (true, false, Some(vpl));
     let frame = renderer.render(scene, &settings).unwrap();
-    [Layer::Indirect, Layer::Depth, Layer::Albedo].map(|l| frame.layer(l).unwrap().clone())
+    ([Layer::Indirect, Layer::Depth, Layer::Albedo].map(|l| frame.layer(l).unwrap().clone()), frame.stats.rays.vpl_maps)
+}
+
+/// What was measured of one choice of VPLs.
+#[derive(Clone, Copy, Debug)]
+struct Excess {
+    /// Mean and 99th percentile over all steps of the change from frame to frame less the oracle's, as shares of the oracle's
+    /// mean.
+    mean: f64,
+    p99: f64,
+    /// Mean difference from the oracle, as such a share.
+    error: f64,
+    /// Rays of the VPLs' maps in a frame after the first.
+    map_rays: u64,
 }
 
 /// What moves besides the objects.
@@ -25,8 +43,7 @@ enum Motion {
     ObjectsAndLight,
 }
 
-/// Mean and 99th percentile over all steps of the change from frame to frame less the oracle's, as shares of the oracle's mean;
-/// of each of the settings.
+/// The measure of each of the settings.
 /// * `oracle`: VPLs of the oracle
 fn excess(
     name: &str,
@@ -35,24 +52,29 @@ fn excess(
     size: (u32, u32),
     oracle: u32,
     tested: &[VplOptions],
-) -> Vec<[f64; 2]> {
+) -> Vec<Excess> {
     // One renderer each, so that every frame follows the one before it.
     let mut renderers: Vec<Renderer> = (0..=tested.len()).map(|_| cpu()).collect();
     let options: Vec<VplOptions> = std::iter::once(full_vpls(oracle, 2)).chain(tested.iter().copied()).collect();
-    let fixed = scene_at(name, *frames.start());
+    // One world that moves on, so that what stays in it is known to stay.
+    let mut app = app_at(name, *frames.start());
+    let fixed = extracted(&app);
     let mut differences = vec![Vec::new(); tested.len()];
+    let (mut errors, mut map_rays) = (vec![0.0; tested.len()], vec![0; tested.len()]);
     let (mut light, mut pixels, mut steps) = (0.0, 0u32, 0u32);
     let mut before: Option<Vec<[Image; 3]>> = None;
-    for frame in frames {
-        let mut scene = scene_at(name, frame);
+    for _ in frames {
+        let mut scene = extracted(&app);
+        advance(&mut app, 1);
         scene.camera = fixed.camera;
         if motion == Motion::Objects {
             scene.lights.clone_from(&fixed.lights);
         }
-        let now: Vec<[Image; 3]> =
-            renderers.iter_mut().zip(&options).map(|(r, options)| layers(r, &scene, size, *options)).collect();
+        let (now, rays): (Vec<[Image; 3]>, Vec<u64>) =
+            renderers.iter_mut().zip(&options).map(|(r, options)| layers(r, &scene, size, *options)).unzip();
         if let Some(before) = &before {
             steps += 1;
+            map_rays.iter_mut().zip(&rays[1..]).for_each(|(sum, rays)| *sum += rays);
             for i in 0..now[0][0].pixels.len() {
                 let same = (0..3).all(|c| {
                     let (a, b) = (before[0][1].pixels[i][c], now[0][1].pixels[i][c]);
@@ -63,6 +85,7 @@ fn excess(
                     let change = |which: usize| sum(&now[which]) - sum(&before[which]);
                     for (which, differences) in differences.iter_mut().enumerate() {
                         differences.push((change(which + 1) - change(0)).abs());
+                        errors[which] += (sum(&now[which + 1]) - sum(&now[0])).abs();
                     }
                     light += sum(&before[0]);
                     pixels += 1;
@@ -73,19 +96,22 @@ fn excess(
     }
     assert!(pixels > size.0 * size.1 / 8 * steps, "{name}: many pixels show what they showed");
     let unit = light / f64::from(pixels);
-    let shares = |mut differences: Vec<f64>| {
+    let shares = |(mut differences, (error, rays)): (Vec<f64>, (f64, u64))| {
         differences.sort_by(f64::total_cmp);
         let mean = differences.iter().sum::<f64>() / differences.len() as f64;
-        [mean / unit, differences[differences.len() * 99 / 100] / unit]
+        let p99 = differences[differences.len() * 99 / 100] / unit;
+        Excess { mean: mean / unit, p99, error: error / light, map_rays: rays / u64::from(steps) }
     };
-    differences.into_iter().map(shares).collect()
+    differences.into_iter().zip(errors.into_iter().zip(map_rays)).map(shares).collect()
 }
 
-fn print(name: &str, motion: Motion, what: &str, [mean, p99]: [f64; 2]) {
+fn print(name: &str, motion: Motion, what: &str, Excess { mean, p99, error, map_rays }: Excess) {
     println!(
-        "{name}, {motion:?}, {what}: excess change mean {:.3} %, 99th percentile {:.2} %",
+        "{name}, {motion:?}, {what}: excess change mean {:.3} %, 99th percentile {:.2} %; {:.2} % from the oracle, \
+         {map_rays} rays a frame for maps",
         100.0 * mean,
-        100.0 * p99
+        100.0 * p99,
+        100.0 * error
     );
 }
 
@@ -93,8 +119,9 @@ fn print(name: &str, motion: Motion, what: &str, [mean, p99]: [f64; 2]) {
 fn indirect_light_does_not_boil() {
     for name in ["rolling-box", "two-spheres"] {
         let interactive = small(SIZE.0, SIZE.1, 64).vpl.unwrap();
-        let [mean, p99] = excess(name, Motion::Objects, 30..=31, SIZE, 4096, &[interactive])[0];
-        print(name, Motion::Objects, "interactive", [mean, p99]);
+        let excess = excess(name, Motion::Objects, 30..=31, SIZE, 4096, &[interactive])[0];
+        let Excess { mean, p99, .. } = excess;
+        print(name, Motion::Objects, "interactive", excess);
         assert!(mean <= 0.01 && p99 <= 0.08, "{name}: {mean} {p99}");
     }
 }
@@ -113,6 +140,21 @@ fn flicker_of_all_scenes(preset: Preset, what: &str) {
 #[ignore = "half an hour: run by hand, see docs/light.md"]
 fn flicker_of_interactive() {
     flicker_of_all_scenes(Preset::Interactive, "interactive");
+}
+
+/// VPLs that are kept from frame to frame against those made anew, where the light moves.
+#[test]
+#[ignore = "minutes: run by hand, see docs/light.md"]
+fn flicker_with_reuse() {
+    let vpl = VplOptions { bounces: 2, ..RenderSettings::preset(Preset::Interactive).vpl.unwrap() };
+    let choices = [(1, 0), (1, 10), (1, 40), (2, 0), (2, 10), (2, 40)];
+    let tested = choices.map(|(candidates, reuse)| VplOptions { candidates, reuse, ..vpl });
+    for name in ["rolling-box", "two-spheres"] {
+        let motion = Motion::ObjectsAndLight;
+        for ((candidates, reuse), excess) in choices.iter().zip(excess(name, motion, 0..=30, FEW, 65_536, &tested)) {
+            print(name, motion, &format!("400 of {}, reuse {reuse}", 400 * candidates), excess);
+        }
+    }
 }
 
 /// Maps of 64 texels of 6,144 VPLs are made anew for every frame.

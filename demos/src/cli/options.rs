@@ -229,6 +229,9 @@ pub struct PictureArgs {
     /// Virtual point lights, without shadows, that light what mirrors and glass show; 0: the same as elsewhere
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1 << 20))]
     pub mirror_vpls: Option<u32>,
+    /// Virtual point lights made anew in a frame at most, the others are kept from frame to frame; 0: all are made anew
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1 << 20))]
+    pub vpl_reuse: Option<u32>,
     /// Bound of the VPLs' geometry term in units of 1/(bounding radius)^2, or `off` for none (no bias, bright spots)
     #[arg(long, value_name = "X|off", value_parser = parse_bound)]
     pub vpl_bound: Option<Bound>,
@@ -360,6 +363,7 @@ impl PictureArgs {
         v.interleave = self.vpl_interleave.unwrap_or(v.interleave);
         v.spacing = self.vpl_spacing.unwrap_or(v.spacing);
         v.mirrored = self.mirror_vpls.unwrap_or(v.mirrored);
+        v.reuse = self.vpl_reuse.unwrap_or(v.reuse);
         v.map_size = self.vpl_map_size.unwrap_or(v.map_size);
         if let Some(placement) = self.vpl_placement {
             v.placement = match placement {

@@ -202,6 +202,7 @@ pub fn scene_entry(scene: &str, layer: &str, size: (u32, u32), triangles: usize,
         "mray_per_s_by_kind": mrays_by_kind(records),
         "masked_share": median(records.iter().map(|r| share(&r.stats))),
         "vpls": last.map(|s| s.vpls),
+        "vpls_reused": last.map(|s| s.vpls_reused),
         "tlas_nodes_touched": median(records.iter().map(|r| f64::from(r.stats.tlas_nodes_touched))),
         "blas_builds": {
             "first_frame": records.first().map(|r| r.stats.blas_builds),

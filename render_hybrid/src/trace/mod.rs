@@ -15,6 +15,7 @@ pub mod optics;
 pub mod photons;
 pub mod points;
 pub mod reference;
+pub(crate) mod reuse;
 pub mod sampling;
 pub mod shade;
 pub mod surface;

@@ -80,6 +80,11 @@ impl NearLights {
         &self.photons.vpls
     }
 
+    /// As [`Photons::is_unsettled`].
+    pub fn is_unsettled(&self) -> bool {
+        self.photons.is_unsettled()
+    }
+
     /// Makes the VPLs and their maps, where the settings want any. Returns the numbers of rays of both.
     pub fn make(
         &mut self,
@@ -89,6 +94,7 @@ impl NearLights {
         settings: &RenderSettings,
     ) -> [u64; 2] {
         let Some(vpl) = settings.vpl.filter(|v| has_near_field(settings) && v.bounces > 1) else {
+            self.photons.forget();
             self.photons.vpls.clear();
             self.maps.clear();
             return [0; 2];

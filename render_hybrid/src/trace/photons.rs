@@ -11,6 +11,7 @@ use rayon::prelude::*;
 use super::{
     choice::{Choice, View},
     emission::{self, EmissiveTriangle, PathShares, SourceFrame},
+    reuse::Reuse,
     sampling,
     surface::{NormalMatrices, Surface, surface_at},
     surfels::{LANDINGS_A_SURFEL, Landing, Surfels},
@@ -49,6 +50,7 @@ pub struct Photons {
     /// The VPLs lie on surfels.
     pub on_surfels: bool,
     choice: Choice,
+    reuse: Reuse,
     /// VPLs with flux, in the order of paths.
     pub vpls: Vec<Vpl>,
     /// Rays traced.
@@ -87,17 +89,18 @@ pub struct PathStart {
 
 /// One light path to trace.
 #[derive(Clone, Copy, Debug)]
-struct Path {
+pub(super) struct Path {
     /// Light, or `lights.len()` for the emissive triangles.
-    source: u32,
+    pub source: u32,
     /// Number within its source, and how many that source has.
-    index: u32,
-    of: u32,
+    pub index: u32,
+    pub of: u32,
 }
 
 impl Photons {
     /// Traces all light paths; afterwards `vpls` holds at most `options.count` · `options.candidates` VPLs (a source beyond
-    /// that number still gets one path). On surfels there are as many as are lit, at most `options.count` but for both sides of thin sheets.
+    /// that number still gets one path). With `options.reuse`, paths of the frame before are followed on (`trace/reuse.rs`).
+    /// On surfels there are as many as are lit, mostly fewer than `options.count`.
     pub fn trace(
         &mut self,
         scene: &RenderScene,
@@ -111,20 +114,28 @@ impl Photons {
         self.rays = 0;
         self.on_surfels = wants_surfels(options) && self.surfels.place(scene, normals, options.count);
         let wanted = options.count * if self.on_surfels { LANDINGS_A_SURFEL } else { options.candidates };
-        let Some((bounds, slots_a_path)) = self.share(scene, options.bounces, wanted) else { return };
+        let Some((bounds, slots_a_path)) = self.share(scene, options.bounces, wanted) else {
+            return self.reuse.forget();
+        };
         let bounces = options.bounces;
+        if options.reuse > 0 {
+            list_paths(self.reuse.begin(scene, options, seed, &self.shares.shares), &mut self.paths);
+        } else {
+            self.reuse.forget();
+        }
         let paths = &self.paths;
         self.landings.clear();
         self.landings.resize(paths.len() * slots_a_path, Landing::default());
         let emissive = &self.emissive;
         let tracer = PathTracer { scene, normals, accel: Some(accel), emissive, bounds, bounces, seed };
-        self.rays = self
-            .landings
-            .par_chunks_mut(slots_a_path)
-            .with_min_len(16)
-            .zip(paths)
-            .map(|(landings, path)| tracer.trace(*path, landings))
-            .sum();
+        let landings = &mut self.landings;
+        self.rays = if options.reuse > 0 {
+            let most = (options.reuse as usize / slots_a_path).max(1);
+            self.reuse.trace(&tracer, paths, most, landings)
+        } else {
+            let all = landings.par_chunks_mut(slots_a_path).with_min_len(16).zip(paths);
+            all.map(|(landings, path)| tracer.trace(*path, landings)).sum()
+        };
         if self.on_surfels {
             self.surfels.light(accel.simd_level(), &self.landings);
             self.slots.extend_from_slice(&self.surfels.lit);
@@ -141,6 +152,21 @@ impl Photons {
         self.vpls.extend(self.slots.iter().filter(|v| v.flux != Vec3::ZERO));
     }
 
+    /// The kept paths are gone.
+    pub(crate) fn forget(&mut self) {
+        self.reuse.forget();
+    }
+
+    /// True where fewer paths were begun anew than were wanted: the next frame goes on with it though nothing move.
+    pub(crate) fn is_unsettled(&self) -> bool {
+        self.reuse.is_unsettled()
+    }
+
+    /// How many of the VPLs with flux belong to paths kept from the frame before.
+    pub(crate) fn reused(&self) -> u32 {
+        self.reuse.count(&self.slots)
+    }
+
     /// What [`Self::trace`] would follow, for a tracer on the GPU.
     pub fn paths(
         &mut self,
@@ -150,6 +176,7 @@ impl Photons {
         seed: u32,
     ) -> LightPaths {
         let bounces = options.bounces;
+        self.reuse.forget();
         let wanted = options.count * options.candidates;
         let Some((bounds, slots_a_path)) = self.share(scene, bounces, wanted) else { return LightPaths::default() };
         let emissive = &self.emissive;
@@ -178,21 +205,27 @@ impl Photons {
         let slots_a_path = if self.emissive.is_empty() { bounces } else { bounces + 1 } as usize;
         let paths = (wanted / slots_a_path as u32).max(1);
         self.shares.update(scene, &self.emissive, bounds, paths);
-        for (source, &of) in self.shares.shares.iter().enumerate() {
-            self.paths.extend((0..of).map(|index| Path { source: source as u32, index, of }));
-        }
+        list_paths(&self.shares.shares, &mut self.paths);
         Some((bounds, slots_a_path))
     }
 }
 
-struct PathTracer<'a> {
-    scene: &'a RenderScene,
-    normals: &'a NormalMatrices,
+/// All paths, source after source.
+fn list_paths(shares: &[u32], paths: &mut Vec<Path>) {
+    paths.clear();
+    for (source, &of) in shares.iter().enumerate() {
+        paths.extend((0..of).map(|index| Path { source: source as u32, index, of }));
+    }
+}
+
+pub(super) struct PathTracer<'a> {
+    pub scene: &'a RenderScene,
+    pub normals: &'a NormalMatrices,
     /// Not needed for starts.
-    accel: Option<&'a Accel>,
+    pub accel: Option<&'a Accel>,
     emissive: &'a [EmissiveTriangle],
-    bounds: catoptra_engine::Aabb,
-    bounces: u32,
+    pub bounds: catoptra_engine::Aabb,
+    pub bounces: u32,
     seed: u32,
 }
 
@@ -213,7 +246,7 @@ impl PathTracer<'_> {
         PathStart { ray: e.ray, flux: e.flux * share, vpl: None, index: path.index, source: path.source }
     }
 
-    fn start(&self, path: Path) -> PathStart {
+    pub fn start(&self, path: Path) -> PathStart {
         let xi = self.xi(path);
         let share = 1.0 / path.of as f32;
         if (path.source as usize) < self.scene.lights.len() {
@@ -228,16 +261,21 @@ impl PathTracer<'_> {
     }
 
     /// Fills in a path's landings; returns the number of rays.
-    fn trace(&self, path: Path, landings: &mut [Landing]) -> u64 {
-        let Some(accel) = self.accel else { return 0 };
-        let PathStart { mut ray, mut flux, vpl, .. } = self.start(path);
+    pub fn trace(&self, path: Path, landings: &mut [Landing]) -> u64 {
+        let PathStart { ray, flux, vpl, .. } = self.start(path);
         let mut used = 0;
         if let Some(vpl) = vpl {
             landings[0] = (vpl, self.emissive[self.emissive_at(path).0].instance_id);
             used = 1;
         }
-        let mut rays = 0;
-        for bounce in 0..self.bounces {
+        self.follow(path.index, 0, ray, flux, &mut landings[used..])
+    }
+
+    /// Follows path number `index` from its reflection `first` on, along `ray`; returns the number of rays.
+    pub fn follow(&self, index: u32, first: u32, mut ray: Ray, mut flux: Vec3, landings: &mut [Landing]) -> u64 {
+        let Some(accel) = self.accel else { return 0 };
+        let (mut used, mut rays) = (0, 0);
+        for bounce in first..self.bounces {
             if flux == Vec3::ZERO {
                 break;
             }
@@ -247,17 +285,11 @@ impl PathTracer<'_> {
                 break;
             }
             let s = surface_at(self.scene, self.normals, &ray, &hit);
-            let m = &self.scene.materials[s.material as usize];
-            // Mirror and glass end the photon; a mixed material reflects its matte share diffusely.
-            let albedo = if m.unlit { Vec3::ZERO } else { s.base_color * (s.look.diffuse * s.look.matte_weight()) };
-            flux *= albedo;
+            flux *= self.albedo(&s);
             landings[used] = (vpl_at(&s, flux), s.instance_id);
             used += 1;
-            let d = sampling::cosine_direction(s.n_shading, bounce_sample(path.index, bounce, self.seed));
-            ray = s.leaving_ray(d);
-            if s.n_geometric.dot(d) <= 0.0 {
-                break;
-            }
+            let Some(next) = self.leave(index, bounce, &s) else { break };
+            ray = next;
         }
         rays
     }
@@ -268,6 +300,18 @@ impl PathTracer<'_> {
         let target = self.xi(path).x * total;
         let at = self.emissive.partition_point(|t| t.cumulative <= target).min(self.emissive.len() - 1);
         (at, target, total)
+    }
+
+    /// Mirror and glass end the photon; a mixed material reflects its matte share diffusely.
+    pub fn albedo(&self, s: &Surface) -> Vec3 {
+        let m = &self.scene.materials[s.material as usize];
+        if m.unlit { Vec3::ZERO } else { s.base_color * (s.look.diffuse * s.look.matte_weight()) }
+    }
+
+    /// The ray on which path number `index` goes on after its reflection `bounce`; `None`: into the surface.
+    pub fn leave(&self, index: u32, bounce: u32, s: &Surface) -> Option<Ray> {
+        let d = sampling::cosine_direction(s.n_shading, bounce_sample(index, bounce, self.seed));
+        (s.n_geometric.dot(d) > 0.0).then(|| s.leaving_ray(d))
     }
 
     /// A VPL on an emissive surface: both sides radiate, the path takes one.
@@ -298,11 +342,12 @@ impl PathTracer<'_> {
     }
 }
 
-/// Surfels are for VPLs with visibility: those without are so few, and the GPU's tracer makes them, too.
+/// Surfels are for VPLs with visibility: those without are so few, and the GPU's tracer makes them, too. What history keeps
+/// are paths.
 fn wants_surfels(options: &VplOptions) -> bool {
-    options.placement == VplPlacement::Surfels && options.shadows != VplShadows::Off
+    options.placement == VplPlacement::Surfels && options.shadows != VplShadows::Off && options.reuse == 0
 }
 
-pub(crate) fn vpl_at(s: &Surface, flux: Vec3) -> Vpl {
+pub(super) fn vpl_at(s: &Surface, flux: Vec3) -> Vpl {
     Vpl { position_world: s.position_world, normal_world: s.n_shading, flux, error: s.error }
 }
