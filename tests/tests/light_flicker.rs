@@ -2,7 +2,7 @@
 //! pixels that show the same place.
 
 use catoptra_engine::{RenderScene, app::advance};
-use catoptra_render_hybrid::{Image, Layer, Preset, RenderSettings, Renderer, VplOptions};
+use catoptra_render_hybrid::{Image, Layer, Preset, RenderSettings, Renderer, VplOptions, VplPlacement};
 use catoptra_tests::fixtures::{SCENE_NAMES, app_at, cpu, extracted, full_vpls, small};
 
 /// Picture of the quick test.
@@ -146,13 +146,17 @@ fn flicker_of_interactive() {
 #[test]
 #[ignore = "minutes: run by hand, see docs/light.md"]
 fn flicker_with_reuse() {
-    let vpl = VplOptions { bounces: 2, ..RenderSettings::preset(Preset::Interactive).vpl.unwrap() };
+    let preset = VplOptions { bounces: 2, ..RenderSettings::preset(Preset::Interactive).vpl.unwrap() };
+    let vpl = VplOptions { placement: VplPlacement::Paths, ..preset };
     let choices = [(1, 0), (1, 10), (1, 40), (2, 0), (2, 10), (2, 40)];
-    let tested = choices.map(|(candidates, reuse)| VplOptions { candidates, reuse, ..vpl });
+    let mut tested: Vec<_> = choices.map(|(candidates, reuse)| VplOptions { candidates, reuse, ..vpl }).into();
+    tested.push(preset);
     for name in ["rolling-box", "two-spheres"] {
         let motion = Motion::ObjectsAndLight;
-        for ((candidates, reuse), excess) in choices.iter().zip(excess(name, motion, 0..=30, FEW, 65_536, &tested)) {
-            print(name, motion, &format!("400 of {}, reuse {reuse}", 400 * candidates), excess);
+        let whats = choices.map(|(candidates, reuse)| format!("400 of {}, reuse {reuse}", 400 * candidates));
+        let whats = whats.iter().map(String::as_str).chain(["400 on surfels"]);
+        for (what, excess) in whats.zip(excess(name, motion, 0..=30, FEW, 65_536, &tested)) {
+            print(name, motion, what, excess);
         }
     }
 }
