@@ -205,7 +205,7 @@ pub struct PictureArgs {
     /// Candidates for each virtual point light: those that give most to the picture are kept; 1: all
     #[arg(long, value_name = "N")]
     pub vpl_candidates: Option<u32>,
-    /// Side of the blocks of pixels over which virtual point lights are interleaved: 1 (none), 2 or 4; CPU lane
+    /// Side of the blocks of pixels over which virtual point lights are interleaved: 1 (none), 2 or 4
     #[arg(long, value_name = "N")]
     pub vpl_interleave: Option<u32>,
     /// Pixels between the places where virtual point lights are evaluated: 1 (each pixel), 2, 4, 8 or 16

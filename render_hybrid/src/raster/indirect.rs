@@ -24,6 +24,15 @@ pub(crate) struct VplChunks {
     first: u32,
     /// Number of those.
     count: u32,
+    /// Side of the blocks of pixels over which the VPLs are interleaved; 0 or 1: each lights all pixels.
+    interleave: u32,
+}
+
+impl VplChunks {
+    /// True where [`IndirectPass::record`] leaves the light of subsets in the second target, to be filtered.
+    pub fn of_subsets(&self) -> bool {
+        self.interleave > 1 && self.count > 0
+    }
 }
 
 /// Sums the contribution of all VPLs.
@@ -161,10 +170,11 @@ impl IndirectPass {
 
     /// Makes room for chunks of `vpls` VPLs that another pass writes, laid out as [`Self::upload`] does; true where the buffer
     /// was replaced, so that [`Self::bind`] must follow.
-    pub fn reserve(&mut self, gpu: &Gpu, vpls: u32) -> (VplChunks, bool) {
+    /// * `interleave`: as in [`Self::upload`]; that pass groups them
+    pub fn reserve(&mut self, gpu: &Gpu, vpls: u32, interleave: u32) -> (VplChunks, bool) {
         let all = vpls.div_ceil(VPL_CHUNK);
         let replaced = self.chunks.reserve(gpu, (self.stride * u64::from(all)).max(self.stride));
-        (VplChunks { all, first: 0, count: all }, replaced)
+        (VplChunks { all, first: 0, count: all, interleave }, replaced)
     }
 
     /// The chunks, and bytes from one to the next.
@@ -174,24 +184,46 @@ impl IndirectPass {
 
     /// Uploads the VPLs that carry light; true where the buffer was replaced, so that [`Self::bind`] must follow.
     /// * `grid`: pixels of which it cannot tell are lit by those of [`Self::set_few`]
-    pub fn upload(&mut self, gpu: &Gpu, vpls: &[Vpl], geometry_term_max: f32, grid: bool) -> (VplChunks, bool) {
-        let of_all: Vec<VplData> = lit(vpls).collect();
+    /// * `interleave`: side of the blocks of pixels over which `vpls` are interleaved, which then are in runs of subsets
+    ///   ([`crate::twin::interleave::group_subsets`]); 1: each lights all pixels
+    pub fn upload(
+        &mut self,
+        gpu: &Gpu,
+        vpls: &[Vpl],
+        geometry_term_max: f32,
+        grid: bool,
+        interleave: u32,
+    ) -> (VplChunks, bool) {
+        // A subset is a run of places in the whole list.
+        let of_all: Vec<VplData> = if interleave > 1 {
+            vpls.iter().zip(0..).map(|(v, map)| VplData::new(v, map)).collect()
+        } else {
+            lit(vpls).collect()
+        };
         let few = self.few.take();
         let of_few = few.as_deref().filter(|_| grid && !of_all.is_empty());
         let all = of_all.len().div_ceil(VPL_CHUNK as usize) as u32;
         // Where the few are none, an empty chunk makes pixels black.
         let count = of_few.map_or(all, |few| few.len().div_ceil(VPL_CHUNK as usize).max(1) as u32);
-        let chunks = VplChunks { all, first: if of_few.is_some() { all } else { 0 }, count };
+        let chunks = VplChunks { all, first: if of_few.is_some() { all } else { 0 }, count, interleave };
         let replaced = self.chunks.reserve(gpu, self.stride * u64::from((chunks.first + count).max(1)));
-        self.upload_list(gpu, 0, &of_all, geometry_term_max, self.map_size);
+        self.upload_list(gpu, 0, &of_all, geometry_term_max, self.map_size, interleave);
         if let Some(few) = of_few {
-            self.upload_list(gpu, all, few, geometry_term_max, 0);
+            self.upload_list(gpu, all, few, geometry_term_max, 0, 1);
         }
         self.few = few;
         (chunks, replaced)
     }
 
-    fn upload_list(&self, gpu: &Gpu, first: u32, vpls: &[VplData], geometry_term_max: f32, map_size: u32) {
+    fn upload_list(
+        &self,
+        gpu: &Gpu,
+        first: u32,
+        vpls: &[VplData],
+        geometry_term_max: f32,
+        map_size: u32,
+        interleave: u32,
+    ) {
         let mut lists: Vec<_> = vpls.chunks(VPL_CHUNK as usize).collect();
         if lists.is_empty() {
             lists.push(&[]);
@@ -200,10 +232,14 @@ impl IndirectPass {
             let offset = self.stride * (u64::from(first) + i as u64);
             let head = IndirectHead {
                 count: list.len() as u32,
-                accumulate: u32::from(i > 0),
+                first: i as u32 * VPL_CHUNK,
                 // Infinity is no number for a shader.
                 geometry_term_max: geometry_term_max.min(f32::MAX),
                 map_size,
+                all: vpls.len() as u32,
+                interleave,
+                unused0: 0,
+                unused1: 0,
             };
             gpu.upload(&self.chunks.buffer, offset, bytemuck::bytes_of(&head));
             gpu.upload(&self.chunks.buffer, offset + size_of::<IndirectHead>() as u64, bytemuck::cast_slice(list));
@@ -221,7 +257,8 @@ impl IndirectPass {
         Ok(())
     }
 
-    /// No chunks: the layer becomes black.
+    /// No chunks: the layer becomes black. [`VplChunks::of_subsets`]: the light is left in the second target, as
+    /// [`super::interleave::InterleavePass`] wants it.
     pub fn record(
         &self,
         encoder: &mut wgpu::CommandEncoder,
@@ -235,8 +272,8 @@ impl IndirectPass {
             draw_pass(encoder, "indirect", &targets.indirect[0].view, wgpu::Color::BLACK, None);
         }
         for i in 0..count {
-            // The last chunk ends in the first target.
-            let into = ((count - 1 - i) % 2) as usize;
+            // The last chunk ends in the first target, or in the second for the filter to read.
+            let into = ((count - 1 - i + u32::from(chunks.of_subsets())) % 2) as usize;
             let mut pass = draw_pass(encoder, "indirect", &targets.indirect[into].view, wgpu::Color::BLACK, None);
             pass.set_pipeline(&self.pipeline);
             pass.set_bind_group(0, scene.group(), &[]);
