@@ -207,13 +207,12 @@ fn subsets_of_interleaved_vpls() {
             let rows: Vec<[f32; 2]> = pixels().map(|(x, y)| [x as f32, y as f32]).collect();
             let body = format!(
                 "let p = vec2u(u32(x[0]), u32(x[1])); let size = vec2u({width}u, {height}u);
-                y[0] = f32(subset_of(p, {n}u));
                 let span = filter_span(p, size, {n}u);
-                y[1] = f32(span.x); y[2] = f32(span.y); y[3] = f32(span.z); y[4] = f32(span.w);
-                let place = split_place(p, size, {n}u); y[5] = f32(place.x); y[6] = f32(place.y);
-                let back = pixel_of_split(place, size, {n}u); y[7] = f32(back.x); y[8] = f32(back.y);"
+                y[0] = f32(span.x); y[1] = f32(span.y); y[2] = f32(span.z); y[3] = f32(span.w);
+                let place = split_place(p, size, {n}u); y[4] = f32(place.x); y[5] = f32(place.y);
+                let back = pixel_of_split(place, size, {n}u); y[6] = f32(back.x); y[7] = f32(back.y);"
             );
-            let gpu: Vec<[f32; 9]> = probe.evaluate(&["shared/interleave"], &body, &rows).unwrap();
+            let gpu: Vec<[f32; 8]> = probe.evaluate(&["shared/interleave"], &body, &rows).unwrap();
             // Columns and rows in the order of their residues.
             let order = |len: u32| {
                 let mut list: Vec<u32> = (0..len).collect();
@@ -224,8 +223,12 @@ fn subsets_of_interleaved_vpls() {
             for (g, (x, y)) in gpu.iter().zip(pixels()) {
                 let (u, v) = (filter_span(x, width, n), filter_span(y, height, n));
                 let [column, line] = [(&columns, x), (&lines, y)].map(|(l, c)| l.iter().position(|o| *o == c).unwrap());
-                let cpu = [subset_of(x, y, n), u.start, v.start, u.end, v.end, column as u32, line as u32, x, y];
+                let cpu = [u.start, v.start, u.end, v.end, column as u32, line as u32, x, y];
                 assert_eq!(*g, cpu.map(|v| v as f32), "pixel ({x}, {y}) of {width}x{height}, {n}");
+                // The draw of its subset covers that place.
+                let k = subset_of(x, y, n);
+                let drawn = [subset_range(width as usize, k % n, n), subset_range(height as usize, k / n, n)];
+                assert!(drawn[0].contains(&column) && drawn[1].contains(&line), "pixel ({x}, {y}), {n}");
             }
         }
     }

@@ -3,7 +3,7 @@
 use super::{
     device::{Gpu, GrowBuffer},
     direct::{write_rows, write_texture},
-    layouts::{IndirectHead, VplData},
+    layouts::{IndirectHead, SubsetUniform, VplData},
     light_grid::GridPass,
     pipeline::{Slot, draw_pipeline, group, group_layout, pipeline_layout},
     scene_buffers::SceneBuffers,
@@ -12,7 +12,7 @@ use super::{
 };
 use crate::{
     error::RenderError,
-    twin::{vpl::Vpl, vpl_maps::VplMaps},
+    twin::{interleave::subset_range, vpl::Vpl, vpl_maps::VplMaps},
 };
 
 /// Where the VPLs of a frame lie among the chunks.
@@ -41,6 +41,10 @@ pub(crate) struct IndirectPass {
     layout: wgpu::BindGroupLayout,
     chunks: GrowBuffer,
     stride: u64,
+    /// Which subset a draw is for: as many as were ever wanted.
+    subsets: GrowBuffer,
+    subset_stride: u64,
+    subset_count: u32,
     /// Shadow maps of the VPLs, a row each; a single texel where there are none.
     maps: Target,
     map_size: u32,
@@ -72,22 +76,44 @@ impl IndirectPass {
                 Texture,
                 Uniform,
                 TextureArray,
+                Slot::DynamicUniform(size_of::<SubsetUniform>() as u64),
             ],
         );
         let pipeline_layout = pipeline_layout(gpu, "indirect", Some(frame), Some(&layout));
         let usage = wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST;
         let alignment = u64::from(gpu.device.limits().min_uniform_buffer_offset_alignment);
         let stride = Self::CHUNK_SIZE.next_multiple_of(alignment);
-        Ok(Self {
+        let subset_stride = (size_of::<SubsetUniform>() as u64).next_multiple_of(alignment);
+        let mut pass = Self {
             pipeline: draw_pipeline(gpu, "indirect", &pipeline_layout, RADIANCE_FORMAT, false),
             layout,
             chunks: GrowBuffer::new(gpu, "indirect.chunks", usage, stride),
             stride,
+            subsets: GrowBuffer::new(gpu, "indirect.subsets", usage, subset_stride),
+            subset_stride,
+            subset_count: 0,
             maps: Self::maps_target(gpu, [1, 1])?,
             map_size: 0,
             held_maps: Vec::new(),
             few: None,
-        })
+        };
+        pass.reserve_subsets(gpu, 1);
+        Ok(pass)
+    }
+
+    /// Makes room for the numbers of n² subsets; true where the buffer was replaced.
+    fn reserve_subsets(&mut self, gpu: &Gpu, n: u32) -> bool {
+        let count = (n * n).max(1);
+        if count <= self.subset_count {
+            return false;
+        }
+        let replaced = self.subsets.reserve(gpu, self.subset_stride * u64::from(count));
+        for k in 0..count {
+            let data = SubsetUniform { k, unused0: 0, unused1: 0, unused2: 0 };
+            gpu.upload(&self.subsets.buffer, self.subset_stride * u64::from(k), bytemuck::bytes_of(&data));
+        }
+        self.subset_count = count;
+        replaced
     }
 
     fn maps_target(gpu: &Gpu, [width, height]: [u32; 2]) -> Result<Target, RenderError> {
@@ -163,6 +189,11 @@ impl IndirectPass {
                 view(&self.maps.view),
                 shape,
                 points,
+                wgpu::BindingResource::Buffer(wgpu::BufferBinding {
+                    buffer: &self.subsets.buffer,
+                    offset: 0,
+                    size: std::num::NonZeroU64::new(size_of::<SubsetUniform>() as u64),
+                }),
             ];
             group(gpu, "indirect.group", &self.layout, &resources)
         }))
@@ -173,7 +204,8 @@ impl IndirectPass {
     /// * `interleave`: as in [`Self::upload`]; that pass groups them
     pub fn reserve(&mut self, gpu: &Gpu, vpls: u32, interleave: u32) -> (VplChunks, bool) {
         let all = vpls.div_ceil(VPL_CHUNK);
-        let replaced = self.chunks.reserve(gpu, (self.stride * u64::from(all)).max(self.stride));
+        let mut replaced = self.chunks.reserve(gpu, (self.stride * u64::from(all)).max(self.stride));
+        replaced |= self.reserve_subsets(gpu, interleave);
         (VplChunks { all, first: 0, count: all, interleave }, replaced)
     }
 
@@ -206,7 +238,8 @@ impl IndirectPass {
         // Where the few are none, an empty chunk makes pixels black.
         let count = of_few.map_or(all, |few| few.len().div_ceil(VPL_CHUNK as usize).max(1) as u32);
         let chunks = VplChunks { all, first: if of_few.is_some() { all } else { 0 }, count, interleave };
-        let replaced = self.chunks.reserve(gpu, self.stride * u64::from((chunks.first + count).max(1)));
+        let mut replaced = self.chunks.reserve(gpu, self.stride * u64::from((chunks.first + count).max(1)));
+        replaced |= self.reserve_subsets(gpu, interleave);
         self.upload_list(gpu, 0, &of_all, geometry_term_max, self.map_size, interleave);
         if let Some(few) = of_few {
             self.upload_list(gpu, all, few, geometry_term_max, 0, 1);
@@ -268,6 +301,7 @@ impl IndirectPass {
         chunks: VplChunks,
     ) {
         let VplChunks { first, count, .. } = chunks;
+        let n = chunks.interleave.max(1);
         if count == 0 {
             draw_pass(encoder, "indirect", &targets.indirect[0].view, wgpu::Color::BLACK, None);
         }
@@ -277,8 +311,18 @@ impl IndirectPass {
             let mut pass = draw_pass(encoder, "indirect", &targets.indirect[into].view, wgpu::Color::BLACK, None);
             pass.set_pipeline(&self.pipeline);
             pass.set_bind_group(0, scene.group(), &[]);
-            pass.set_bind_group(1, &groups.0[into], &[(self.stride * u64::from(first + i)) as u32]);
-            pass.draw(0..3, 0..1);
+            let chunk = (self.stride * u64::from(first + i)) as u32;
+            for k in 0..n * n {
+                // Where the places of the subset's pixels are.
+                let columns = subset_range(targets.width as usize, k % n, n);
+                let rows = subset_range(targets.height as usize, k / n, n);
+                if columns.is_empty() || rows.is_empty() {
+                    continue;
+                }
+                pass.set_scissor_rect(columns.start as u32, rows.start as u32, columns.len() as u32, rows.len() as u32);
+                pass.set_bind_group(1, &groups.0[into], &[chunk, (self.subset_stride * u64::from(k)) as u32]);
+                pass.draw(0..3, 0..1);
+            }
         }
     }
 }

@@ -377,6 +377,15 @@ pub(crate) struct IndirectHead {
 
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
 #[repr(C)]
+pub(crate) struct SubsetUniform {
+    pub k: u32,
+    pub unused0: u32,
+    pub unused1: u32,
+    pub unused2: u32,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[repr(C)]
 pub(crate) struct InterleaveUniform {
     pub n: u32,
     pub unused0: u32,
@@ -575,6 +584,7 @@ mod tests {
         assert_layout!("direct", "DirectUniform", DirectUniform, visibility, min_variance, light_bleed_reduction, evsm);
         assert_layout!("indirect", "Vpl", VplData, position_world, error, normal_world, map, flux, unused2);
         assert_layout!("indirect", "GridUniform", GridUniform, size, spacing, unused);
+        assert_layout!("indirect", "SubsetUniform", SubsetUniform, k, unused0, unused1, unused2);
         assert_layout!("interleave", "InterleaveUniform", InterleaveUniform, n, unused0, unused1, unused2);
         assert_layout!("traced_scatter", "TracedPixel", TracedPixel, radiance, pixel);
         assert_layout!("present", "PresentUniform", PresentUniform, exposure, encode_srgb, unused0, unused1);

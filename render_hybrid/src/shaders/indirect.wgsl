@@ -21,12 +21,14 @@
 @group(1) @binding(5) var vpl_maps: texture_2d<f32>;
 @group(1) @binding(6) var<uniform> shape: GridUniform;
 @group(1) @binding(7) var grid: texture_2d_array<f32>;
+@group(1) @binding(8) var<uniform> subset: SubsetUniform;
 
 @vertex
 fn vertex(@builtin(vertex_index) vertex_index: u32) -> @builtin(position) vec4f {
     return fullscreen_position(vertex_index);
 }
 
+// One draw a subset, over the places of its pixels, so that all invocations of a draw read the same VPLs in step.
 // Radiance; interleaved, irradiance by the pixel's subset times their number, at split_place.
 // w: 0 where the grid cannot tell, so that later chunks add to it.
 @fragment
@@ -59,7 +61,7 @@ fn fragment(@builtin(position) position_pixel: vec4f) -> @location(0) vec4f {
         }
     }
     let subsets = side * side;
-    let own = subset_range(pass_uniform.all, subset_of(pixel, side), subsets);
+    let own = subset_range(pass_uniform.all, subset.k, subsets);
     let end = min(max(own.y, pass_uniform.first) - pass_uniform.first, pass_uniform.count);
     var sum = vec3f(0.0);
     for (var i = max(own.x, pass_uniform.first) - pass_uniform.first; i < end; i += 1u) {

@@ -1,8 +1,11 @@
 // Interleaved sampling of VPLs: who is lit by which of them, and the filter that puts them together. Twins: twin/interleave.rs.
 
-// Which of the n² subsets lights a pixel. Twin: subset_of.
-fn subset_of(pixel: vec2u, n: u32) -> u32 {
-    return pixel.x % n + n * (pixel.y % n);
+// Which subset a draw is for.
+struct SubsetUniform {
+    k: u32,
+    unused0: u32,
+    unused1: u32,
+    unused2: u32,
 }
 
 // The first VPL of subset `k`, and the one past its last, in a list of `len` that is ordered by subsets. Twin: subset_range.
@@ -12,8 +15,8 @@ fn subset_range(len: u32, k: u32, subsets: u32) -> vec2u {
     return vec2u(k * whole + min(k, rest), (k + 1u) * whole + min(k + 1u, rest));
 }
 
-// Where the light of a pixel lies before the filter: pixels of one subset side by side, so that neighbouring invocations read
-// the same VPLs. A permutation of the picture's places; with n = 1 each stays where it is.
+// Where the light of a pixel lies before the filter: those of one subset fill a rectangle. A permutation of the picture's
+// places; with n = 1 each stays where it is. Twins: subset_of, and subset_range of columns and of rows.
 fn split_place(pixel: vec2u, size: vec2u, n: u32) -> vec2u {
     let k = pixel % n;
     return k * (size / n) + min(k, size % n) + pixel / n;
