@@ -33,7 +33,7 @@ pub struct Guide {
 
 /// Which of the n² subsets lights the pixel at (x, y).
 ///
-/// Twin: `shaders/shared/interleave.wgsl`.
+/// Twin: `split_place` in `shaders/shared/interleave.wgsl`, which puts the pixels of a subset into one draw's rectangle.
 #[inline]
 pub fn subset_of(x: u32, y: u32, n: u32) -> u32 {
     x % n + n * (y % n)
