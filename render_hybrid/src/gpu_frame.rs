@@ -383,8 +383,8 @@ fn traces_on_gpu(
             missing: format!("{wanted} VPL maps, but this adapter holds {most}"),
         })
     } else {
-        let subsets = settings.vpl.map_or(1, |v| v.interleave * v.interleave);
-        let photons = paths.as_ref().map(|(paths, same)| PhotonInputs { paths, subsets, same: *same });
+        let interleave = settings.vpl.map_or(1, |v| v.interleave);
+        let photons = paths.as_ref().map(|(paths, same)| PhotonInputs { paths, interleave, same: *same });
         gpu.prepare_trace(&RasterInputs { scene, accel, settings, vpls, geometry_term_max, photons })
     };
     match prepared {

@@ -183,7 +183,7 @@ pub struct VplOptions {
     pub map_size: u32,
     /// Side n of the blocks of pixels over which VPLs are interleaved: each pixel is lit by 1/n² of them and a filter that
     /// keeps to surfaces puts them together. 1 (full evaluation), 2 or 4. Higher: 1/n² of the cost, indirect light blurred
-    /// over n pixels, noise along edges. CPU lane; the GPU lane and hits in mirrors evaluate fully.
+    /// over n pixels, noise along edges. Hits in mirrors evaluate fully.
     pub interleave: u32,
     /// Pixels between the places of the picture where VPLs are evaluated, and between which their light is carried along
     /// surfaces: 1 (every pixel), 2, 4, 8 or 16. Higher: 1/n² of the cost, shadows of VPLs soft to n pixels. Less where it

@@ -82,6 +82,7 @@ const THROUGH: &[(&str, &str)] = &[
 const BY_PICTURES: &[(&str, &str)] = &[
     ("fullscreen_position", "every pass that covers the picture: gpu_lane.rs"),
     ("cutout_uv", "holes of the rasteriser: gpu_tracer.rs, textures place by place and holes; gpu_lane.rs"),
+    ("matte_albedo", "lanes.rs and light_interleave.rs: indirect layers of both lanes"),
     ("grid_pixel", "light_grid.rs: both lanes' pictures"),
     ("grid_share", "light_grid.rs: both lanes' pictures"),
     ("grid_irradiance", "light_grid.rs: both lanes' pictures"),

@@ -6,6 +6,7 @@ use catoptra_render_hybrid::{
     raster::testing::ShaderProbe,
     twin::{
         grid::{GridPoint, likeness, near_of_four, near_of_sixteen},
+        interleave::{Guide, filter_span, same_surface, subset_of, subset_range},
         penumbra::{level_count, level_of, ln_rough, occluder_depth, penumbra_sigma},
         shadow::{evsm_visibility, moments_of},
         vpl_maps::{octahedron_coordinates, octahedron_point, texel_occlusion},
@@ -181,4 +182,93 @@ fn weights_of_the_light_grid() {
         .map(|r| [near_of_four(r[0], r[1], r[2] as usize), near_of_sixteen(r[0] * 4.0 - 2.0, r[1] * 4.0 - 2.0)])
         .collect();
     assert_close("grid_near", &gpu, &cpu, 1e-5, 1e-6);
+}
+
+#[test]
+fn subsets_of_interleaved_vpls() {
+    let Some(probe) = probe() else { return };
+    // Length, subset, number of subsets; some of the lists are shorter than that.
+    let rows: Vec<[f32; 3]> = [1u32, 4, 9, 16]
+        .iter()
+        .flat_map(|&m| [0u32, 1, 3, 15, 16, 17, 1023, 1024, 2500].map(|len| (len, m)))
+        .flat_map(|(len, m)| (0..m).map(move |k| [len as f32, k as f32, m as f32]))
+        .collect();
+    let body = "let r = subset_range(u32(x[0]), u32(x[1]), u32(x[2])); y[0] = f32(r.x); y[1] = f32(r.y);";
+    let gpu: Vec<[f32; 2]> = probe.evaluate(&["shared/interleave"], body, &rows).unwrap();
+    for (g, r) in gpu.iter().zip(&rows) {
+        let range = subset_range(r[0] as usize, r[1] as u32, r[2] as u32);
+        assert_eq!(*g, [range.start as f32, range.end as f32], "{r:?}");
+    }
+
+    // Pictures whose sides are multiples of the block's, are not, and are smaller than it.
+    for (width, height) in [(16u32, 12u32), (7, 5), (141, 9), (3, 2), (1, 6)] {
+        for n in [1u32, 2, 4] {
+            let pixels = || (0..height).flat_map(move |y| (0..width).map(move |x| (x, y)));
+            let rows: Vec<[f32; 2]> = pixels().map(|(x, y)| [x as f32, y as f32]).collect();
+            let body = format!(
+                "let p = vec2u(u32(x[0]), u32(x[1])); let size = vec2u({width}u, {height}u);
+                let span = filter_span(p, size, {n}u);
+                y[0] = f32(span.x); y[1] = f32(span.y); y[2] = f32(span.z); y[3] = f32(span.w);
+                let place = split_place(p, size, {n}u); y[4] = f32(place.x); y[5] = f32(place.y);
+                let back = pixel_of_split(place, size, {n}u); y[6] = f32(back.x); y[7] = f32(back.y);"
+            );
+            let gpu: Vec<[f32; 8]> = probe.evaluate(&["shared/interleave"], &body, &rows).unwrap();
+            // Columns and rows in the order of their residues.
+            let order = |len: u32| {
+                let mut list: Vec<u32> = (0..len).collect();
+                list.sort_by_key(|c| c % n);
+                list
+            };
+            let (columns, lines) = (order(width), order(height));
+            for (g, (x, y)) in gpu.iter().zip(pixels()) {
+                let (u, v) = (filter_span(x, width, n), filter_span(y, height, n));
+                let [column, line] = [(&columns, x), (&lines, y)].map(|(l, c)| l.iter().position(|o| *o == c).unwrap());
+                let cpu = [u.start, v.start, u.end, v.end, column as u32, line as u32, x, y];
+                assert_eq!(*g, cpu.map(|v| v as f32), "pixel ({x}, {y}) of {width}x{height}, {n}");
+                // The draw of its subset covers that place.
+                let k = subset_of(x, y, n);
+                let drawn = [subset_range(width as usize, k % n, n), subset_range(height as usize, k / n, n)];
+                assert!(drawn[0].contains(&column) && drawn[1].contains(&line), "pixel ({x}, {y}), {n}");
+            }
+        }
+    }
+}
+
+#[test]
+fn surfaces_of_the_interleaving_filter() {
+    let Some(probe) = probe() else { return };
+    let vector = |i: u32| Vec3::new(noise(i) * 2.0 - 1.0, noise(i + 3000) * 2.0 - 1.0, noise(i + 6000) * 2.0 - 1.0);
+    // Normals up to 40 degrees apart; places from on the plane to half as far off it as away, and the place itself.
+    let rows: Vec<[f32; 12]> = (0..2000)
+        .map(|i| {
+            let n = (vector(i) + Vec3::Z * 0.1).normalize();
+            let m = (n + vector(i + 9000).normalize() * (0.6 * noise(i + 500))).normalize();
+            let at = vector(i + 18_000) * 10.0;
+            let along = n.cross(vector(i + 27_000));
+            let to = (along + n * (noise(i + 900) * 0.6 * along.length())) * 0.3;
+            let (m, other) = if i % 50 == 0 { (n, at) } else { (m, at + to) };
+            [at, n, other, m].map(|v| v.to_array()).as_flattened().try_into().unwrap()
+        })
+        .collect();
+    let of = |r: &[f32; 12], k: usize| Vec3::from_slice(&r[3 * k..]);
+    let body = "y[0] = f32(same_surface(vec3f(x[0], x[1], x[2]), vec3f(x[3], x[4], x[5]), vec3f(x[6], x[7], x[8]),
+        vec3f(x[9], x[10], x[11])));";
+    let gpu: Vec<[f32; 1]> = probe.evaluate(&["shared/interleave"], body, &rows).unwrap();
+    let (mut same, mut other, mut near) = (0, 0, 0);
+    for (row, (g, r)) in gpu.iter().zip(&rows).enumerate() {
+        let guide = |k: usize| Guide { position_world: of(r, k), normal: of(r, k + 1), ..Guide::default() };
+        let cpu = same_surface(&guide(0), &guide(2));
+        assert!(cpu || row % 50 != 0, "a place counts at itself");
+        // Rounding decides where both tests are within it of their bounds: the places are 10 m from the origin.
+        let (to, n) = (of(r, 2) - of(r, 0), of(r, 1));
+        let off = n.dot(to).abs() / to.length().max(1e-6);
+        if (n.dot(of(r, 3)) - 0.95).abs() < 1e-6 || (off - 0.3).abs() < 1e-4 {
+            near += 1;
+            continue;
+        }
+        assert_eq!(g[0] > 0.5, cpu, "row {row}");
+        same += u32::from(cpu);
+        other += u32::from(!cpu);
+    }
+    assert!(same > 300 && other > 300 && near < 20, "{same} the same, {other} others, {near} undecided");
 }

@@ -217,7 +217,7 @@ pub struct PictureArgs {
     /// Where virtual point lights lie: where light paths land, or on a fixed pattern of all surfaces
     #[arg(long, value_enum)]
     pub vpl_placement: Option<VplPlacementArg>,
-    /// Side of the blocks of pixels over which virtual point lights are interleaved: 1 (none), 2 or 4; CPU lane
+    /// Side of the blocks of pixels over which virtual point lights are interleaved: 1 (none), 2 or 4
     #[arg(long, value_name = "N")]
     pub vpl_interleave: Option<u32>,
     /// Pixels between the places where virtual point lights are evaluated: 1 (each pixel), 2, 4, 8 or 16

@@ -3,7 +3,7 @@
 use super::{
     device::{Gpu, GrowBuffer},
     direct::{write_rows, write_texture},
-    layouts::{IndirectHead, VplData},
+    layouts::{IndirectHead, SubsetUniform, VplData},
     light_grid::GridPass,
     pipeline::{Slot, draw_pipeline, group, group_layout, pipeline_layout},
     scene_buffers::SceneBuffers,
@@ -12,7 +12,7 @@ use super::{
 };
 use crate::{
     error::RenderError,
-    twin::{vpl::Vpl, vpl_maps::VplMaps},
+    twin::{interleave::subset_range, vpl::Vpl, vpl_maps::VplMaps},
 };
 
 /// Where the VPLs of a frame lie among the chunks.
@@ -24,6 +24,15 @@ pub(crate) struct VplChunks {
     first: u32,
     /// Number of those.
     count: u32,
+    /// Side of the blocks of pixels over which the VPLs are interleaved; 0 or 1: each lights all pixels.
+    interleave: u32,
+}
+
+impl VplChunks {
+    /// True where [`IndirectPass::record`] leaves the light of subsets in the second target, to be filtered.
+    pub fn of_subsets(&self) -> bool {
+        self.interleave > 1 && self.count > 0
+    }
 }
 
 /// Sums the contribution of all VPLs.
@@ -32,6 +41,10 @@ pub(crate) struct IndirectPass {
     layout: wgpu::BindGroupLayout,
     chunks: GrowBuffer,
     stride: u64,
+    /// Which subset a draw is for: as many as were ever wanted.
+    subsets: GrowBuffer,
+    subset_stride: u64,
+    subset_count: u32,
     /// Shadow maps of the VPLs, a row each; a single texel where there are none.
     maps: Target,
     map_size: u32,
@@ -63,22 +76,44 @@ impl IndirectPass {
                 Texture,
                 Uniform,
                 TextureArray,
+                Slot::DynamicUniform(size_of::<SubsetUniform>() as u64),
             ],
         );
         let pipeline_layout = pipeline_layout(gpu, "indirect", Some(frame), Some(&layout));
         let usage = wgpu::BufferUsages::UNIFORM | wgpu::BufferUsages::COPY_DST;
         let alignment = u64::from(gpu.device.limits().min_uniform_buffer_offset_alignment);
         let stride = Self::CHUNK_SIZE.next_multiple_of(alignment);
-        Ok(Self {
+        let subset_stride = (size_of::<SubsetUniform>() as u64).next_multiple_of(alignment);
+        let mut pass = Self {
             pipeline: draw_pipeline(gpu, "indirect", &pipeline_layout, RADIANCE_FORMAT, false),
             layout,
             chunks: GrowBuffer::new(gpu, "indirect.chunks", usage, stride),
             stride,
+            subsets: GrowBuffer::new(gpu, "indirect.subsets", usage, subset_stride),
+            subset_stride,
+            subset_count: 0,
             maps: Self::maps_target(gpu, [1, 1])?,
             map_size: 0,
             held_maps: Vec::new(),
             few: None,
-        })
+        };
+        pass.reserve_subsets(gpu, 1);
+        Ok(pass)
+    }
+
+    /// Makes room for the numbers of n² subsets; true where the buffer was replaced.
+    fn reserve_subsets(&mut self, gpu: &Gpu, n: u32) -> bool {
+        let count = (n * n).max(1);
+        if count <= self.subset_count {
+            return false;
+        }
+        let replaced = self.subsets.reserve(gpu, self.subset_stride * u64::from(count));
+        for k in 0..count {
+            let data = SubsetUniform { k, unused0: 0, unused1: 0, unused2: 0 };
+            gpu.upload(&self.subsets.buffer, self.subset_stride * u64::from(k), bytemuck::bytes_of(&data));
+        }
+        self.subset_count = count;
+        replaced
     }
 
     fn maps_target(gpu: &Gpu, [width, height]: [u32; 2]) -> Result<Target, RenderError> {
@@ -154,6 +189,11 @@ impl IndirectPass {
                 view(&self.maps.view),
                 shape,
                 points,
+                wgpu::BindingResource::Buffer(wgpu::BufferBinding {
+                    buffer: &self.subsets.buffer,
+                    offset: 0,
+                    size: std::num::NonZeroU64::new(size_of::<SubsetUniform>() as u64),
+                }),
             ];
             group(gpu, "indirect.group", &self.layout, &resources)
         }))
@@ -161,10 +201,12 @@ impl IndirectPass {
 
     /// Makes room for chunks of `vpls` VPLs that another pass writes, laid out as [`Self::upload`] does; true where the buffer
     /// was replaced, so that [`Self::bind`] must follow.
-    pub fn reserve(&mut self, gpu: &Gpu, vpls: u32) -> (VplChunks, bool) {
+    /// * `interleave`: as in [`Self::upload`]; that pass groups them
+    pub fn reserve(&mut self, gpu: &Gpu, vpls: u32, interleave: u32) -> (VplChunks, bool) {
         let all = vpls.div_ceil(VPL_CHUNK);
-        let replaced = self.chunks.reserve(gpu, (self.stride * u64::from(all)).max(self.stride));
-        (VplChunks { all, first: 0, count: all }, replaced)
+        let mut replaced = self.chunks.reserve(gpu, (self.stride * u64::from(all)).max(self.stride));
+        replaced |= self.reserve_subsets(gpu, interleave);
+        (VplChunks { all, first: 0, count: all, interleave }, replaced)
     }
 
     /// The chunks, and bytes from one to the next.
@@ -174,24 +216,47 @@ impl IndirectPass {
 
     /// Uploads the VPLs that carry light; true where the buffer was replaced, so that [`Self::bind`] must follow.
     /// * `grid`: pixels of which it cannot tell are lit by those of [`Self::set_few`]
-    pub fn upload(&mut self, gpu: &Gpu, vpls: &[Vpl], geometry_term_max: f32, grid: bool) -> (VplChunks, bool) {
-        let of_all: Vec<VplData> = lit(vpls).collect();
+    /// * `interleave`: side of the blocks of pixels over which `vpls` are interleaved, which then are in runs of subsets
+    ///   ([`crate::twin::interleave::group_subsets`]); 1: each lights all pixels
+    pub fn upload(
+        &mut self,
+        gpu: &Gpu,
+        vpls: &[Vpl],
+        geometry_term_max: f32,
+        grid: bool,
+        interleave: u32,
+    ) -> (VplChunks, bool) {
+        // A subset is a run of places in the whole list.
+        let of_all: Vec<VplData> = if interleave > 1 {
+            vpls.iter().zip(0..).map(|(v, map)| VplData::new(v, map)).collect()
+        } else {
+            lit(vpls).collect()
+        };
         let few = self.few.take();
         let of_few = few.as_deref().filter(|_| grid && !of_all.is_empty());
         let all = of_all.len().div_ceil(VPL_CHUNK as usize) as u32;
         // Where the few are none, an empty chunk makes pixels black.
         let count = of_few.map_or(all, |few| few.len().div_ceil(VPL_CHUNK as usize).max(1) as u32);
-        let chunks = VplChunks { all, first: if of_few.is_some() { all } else { 0 }, count };
-        let replaced = self.chunks.reserve(gpu, self.stride * u64::from((chunks.first + count).max(1)));
-        self.upload_list(gpu, 0, &of_all, geometry_term_max, self.map_size);
+        let chunks = VplChunks { all, first: if of_few.is_some() { all } else { 0 }, count, interleave };
+        let mut replaced = self.chunks.reserve(gpu, self.stride * u64::from((chunks.first + count).max(1)));
+        replaced |= self.reserve_subsets(gpu, interleave);
+        self.upload_list(gpu, 0, &of_all, geometry_term_max, self.map_size, interleave);
         if let Some(few) = of_few {
-            self.upload_list(gpu, all, few, geometry_term_max, 0);
+            self.upload_list(gpu, all, few, geometry_term_max, 0, 1);
         }
         self.few = few;
         (chunks, replaced)
     }
 
-    fn upload_list(&self, gpu: &Gpu, first: u32, vpls: &[VplData], geometry_term_max: f32, map_size: u32) {
+    fn upload_list(
+        &self,
+        gpu: &Gpu,
+        first: u32,
+        vpls: &[VplData],
+        geometry_term_max: f32,
+        map_size: u32,
+        interleave: u32,
+    ) {
         let mut lists: Vec<_> = vpls.chunks(VPL_CHUNK as usize).collect();
         if lists.is_empty() {
             lists.push(&[]);
@@ -200,10 +265,14 @@ impl IndirectPass {
             let offset = self.stride * (u64::from(first) + i as u64);
             let head = IndirectHead {
                 count: list.len() as u32,
-                accumulate: u32::from(i > 0),
+                first: i as u32 * VPL_CHUNK,
                 // Infinity is no number for a shader.
                 geometry_term_max: geometry_term_max.min(f32::MAX),
                 map_size,
+                all: vpls.len() as u32,
+                interleave,
+                unused0: 0,
+                unused1: 0,
             };
             gpu.upload(&self.chunks.buffer, offset, bytemuck::bytes_of(&head));
             gpu.upload(&self.chunks.buffer, offset + size_of::<IndirectHead>() as u64, bytemuck::cast_slice(list));
@@ -221,7 +290,8 @@ impl IndirectPass {
         Ok(())
     }
 
-    /// No chunks: the layer becomes black.
+    /// No chunks: the layer becomes black. [`VplChunks::of_subsets`]: the light is left in the second target, as
+    /// [`super::interleave::InterleavePass`] wants it.
     pub fn record(
         &self,
         encoder: &mut wgpu::CommandEncoder,
@@ -231,17 +301,28 @@ impl IndirectPass {
         chunks: VplChunks,
     ) {
         let VplChunks { first, count, .. } = chunks;
+        let n = chunks.interleave.max(1);
         if count == 0 {
             draw_pass(encoder, "indirect", &targets.indirect[0].view, wgpu::Color::BLACK, None);
         }
         for i in 0..count {
-            // The last chunk ends in the first target.
-            let into = ((count - 1 - i) % 2) as usize;
+            // The last chunk ends in the first target, or in the second for the filter to read.
+            let into = ((count - 1 - i + u32::from(chunks.of_subsets())) % 2) as usize;
             let mut pass = draw_pass(encoder, "indirect", &targets.indirect[into].view, wgpu::Color::BLACK, None);
             pass.set_pipeline(&self.pipeline);
             pass.set_bind_group(0, scene.group(), &[]);
-            pass.set_bind_group(1, &groups.0[into], &[(self.stride * u64::from(first + i)) as u32]);
-            pass.draw(0..3, 0..1);
+            let chunk = (self.stride * u64::from(first + i)) as u32;
+            for k in 0..n * n {
+                // Where the places of the subset's pixels are.
+                let columns = subset_range(targets.width as usize, k % n, n);
+                let rows = subset_range(targets.height as usize, k / n, n);
+                if columns.is_empty() || rows.is_empty() {
+                    continue;
+                }
+                pass.set_scissor_rect(columns.start as u32, rows.start as u32, columns.len() as u32, rows.len() as u32);
+                pass.set_bind_group(1, &groups.0[into], &[chunk, (self.subset_stride * u64::from(k)) as u32]);
+                pass.draw(0..3, 0..1);
+            }
         }
     }
 }

@@ -366,9 +366,31 @@ impl VplData {
 #[repr(C)]
 pub(crate) struct IndirectHead {
     pub count: u32,
-    pub accumulate: u32,
+    pub first: u32,
     pub geometry_term_max: f32,
     pub map_size: u32,
+    pub all: u32,
+    pub interleave: u32,
+    pub unused0: u32,
+    pub unused1: u32,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub(crate) struct SubsetUniform {
+    pub k: u32,
+    pub unused0: u32,
+    pub unused1: u32,
+    pub unused2: u32,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
+#[repr(C)]
+pub(crate) struct InterleaveUniform {
+    pub n: u32,
+    pub unused0: u32,
+    pub unused1: u32,
+    pub unused2: u32,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
@@ -562,15 +584,19 @@ mod tests {
         assert_layout!("direct", "DirectUniform", DirectUniform, visibility, min_variance, light_bleed_reduction, evsm);
         assert_layout!("indirect", "Vpl", VplData, position_world, error, normal_world, map, flux, unused2);
         assert_layout!("indirect", "GridUniform", GridUniform, size, spacing, unused);
+        assert_layout!("indirect", "SubsetUniform", SubsetUniform, k, unused0, unused1, unused2);
+        assert_layout!("interleave", "InterleaveUniform", InterleaveUniform, n, unused0, unused1, unused2);
         assert_layout!("traced_scatter", "TracedPixel", TracedPixel, radiance, pixel);
         assert_layout!("present", "PresentUniform", PresentUniform, exposure, encode_srgb, unused0, unused1);
 
         let (members, span) = wgsl_struct("indirect", "IndirectUniform");
         assert_eq!(members[0], ("count".into(), offset_of!(IndirectHead, count)));
-        assert_eq!(members[1], ("accumulate".into(), offset_of!(IndirectHead, accumulate)));
+        assert_eq!(members[1], ("first".into(), offset_of!(IndirectHead, first)));
         assert_eq!(members[2], ("geometry_term_max".into(), offset_of!(IndirectHead, geometry_term_max)));
         assert_eq!(members[3], ("map_size".into(), offset_of!(IndirectHead, map_size)));
-        assert_eq!(members[4], ("vpls".into(), size_of::<IndirectHead>()));
+        assert_eq!(members[4], ("all".into(), offset_of!(IndirectHead, all)));
+        assert_eq!(members[5], ("interleave".into(), offset_of!(IndirectHead, interleave)));
+        assert_eq!(members[8], ("vpls".into(), size_of::<IndirectHead>()));
         let chunk = super::super::shader::VPL_CHUNK as usize * size_of::<VplData>();
         assert_eq!(span, size_of::<IndirectHead>() + chunk);
     }

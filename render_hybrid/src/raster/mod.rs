@@ -15,6 +15,7 @@ mod direct;
 mod gbuffer;
 mod host_view;
 mod indirect;
+mod interleave;
 mod layouts;
 mod light_grid;
 mod moments;
@@ -75,6 +76,8 @@ struct Bindings {
     direct: wgpu::BindGroup,
     light_grid: light_grid::GridGroups,
     indirect: indirect::IndirectGroups,
+    /// Where VPLs were interleaved.
+    interleave: Option<wgpu::BindGroup>,
     compose: compose::ComposeGroups,
     present: wgpu::BindGroup,
 }
@@ -138,6 +141,8 @@ pub struct GpuRaster {
     direct: direct::DirectPass,
     light_grid: light_grid::GridPass,
     indirect: indirect::IndirectPass,
+    /// Where VPLs were interleaved.
+    interleave: Option<interleave::InterleavePass>,
     compose: compose::ComposePass,
     present: present::PresentPass,
     layers: present::LayerPass,
@@ -228,6 +233,7 @@ impl GpuRaster {
             direct,
             light_grid,
             indirect,
+            interleave: None,
             compose,
             present,
             layers,
@@ -446,9 +452,20 @@ impl GpuRaster {
             direct: self.direct.bind(gpu, picture, shadows),
             light_grid: self.light_grid.bind(gpu, picture, &self.indirect),
             indirect: self.indirect.bind(gpu, picture, &self.light_grid),
+            interleave: None,
             compose: self.compose.bind(gpu, picture),
             present: self.present.bind(gpu, &picture.last.view),
         });
+    }
+
+    /// Makes ready the filter of VPLs that are interleaved over blocks of `n` x `n` pixels.
+    fn prepare_interleave(&mut self, n: u32) {
+        let (gpu, frame) = (&self.gpu, &self.scene.layout);
+        let pass = self.interleave.get_or_insert_with(|| interleave::InterleavePass::new(gpu, frame));
+        pass.set(gpu, n);
+        if let Some(bindings) = &mut self.bindings {
+            bindings.interleave.get_or_insert_with(|| pass.bind(gpu, &self.picture));
+        }
     }
 
     /// What the passes of indirect light share was replaced.
@@ -543,6 +560,7 @@ impl GpuRaster {
     }
 
     /// Submits direct and indirect light.
+    /// * `vpls`: where the settings interleave them, in runs of subsets ([`crate::twin::interleave::group_subsets`])
     /// * `geometry_term_max`: bound of cos·cos/d² in 1/m²; +infinity: none
     /// * `light_visibility`: one value a pixel for each light, in [0, 1], in place of moments
     /// * `indirect`: what is there beside the VPLs
@@ -595,14 +613,18 @@ impl GpuRaster {
             Indirect::Layer(layer) => self.indirect.upload_layer(gpu, &self.picture, layer)?,
             Indirect::Vpls | Indirect::Grid(_) => {
                 let remade = self.light_grid.set(gpu, &self.picture, grid::spacing_of(&frame.settings))?;
+                let interleave = frame.settings.vpl.map_or(1, |v| v.interleave);
                 let made = self.tracer.as_ref().filter(|_| vpls.is_empty()).and_then(GpuTracer::made_vpls);
                 let (count, replaced) = match made {
-                    Some(most) => self.indirect.reserve(gpu, most),
-                    None => self.indirect.upload(gpu, vpls, geometry_term_max, self.light_grid.is_on()),
+                    Some(most) => self.indirect.reserve(gpu, most, interleave),
+                    None => self.indirect.upload(gpu, vpls, geometry_term_max, self.light_grid.is_on(), interleave),
                 };
                 (chunks, emptied) = (count, replaced);
                 if remade || replaced {
                     self.bind_indirect();
+                }
+                if chunks.of_subsets() {
+                    self.prepare_interleave(interleave);
                 }
                 if let (Indirect::Grid(points), true) = (indirect, self.light_grid.is_on()) {
                     self.light_grid.load(&self.gpu, points)?;
@@ -610,7 +632,19 @@ impl GpuRaster {
             }
         }
 
-        let Self { gpu, open, scene, direct, light_grid, indirect: indirect_pass, picture, timer, tracer, .. } = self;
+        let Self {
+            gpu,
+            open,
+            scene,
+            direct,
+            light_grid,
+            indirect: indirect_pass,
+            interleave,
+            picture,
+            timer,
+            tracer,
+            ..
+        } = self;
         let Some(bindings) = &self.bindings else { unreachable!("a frame was begun") };
         let encoder = open.get_or_insert_with(|| gpu.encoder("frame"));
         if let Some(tracer) = tracer.as_mut().filter(|t| !ready && vpls.is_empty() && t.made_vpls().is_some()) {
@@ -625,6 +659,9 @@ impl GpuRaster {
                     light_grid.record(encoder, scene, &bindings.light_grid, chunks.all, stride);
                 }
                 indirect_pass.record(encoder, scene, &bindings.indirect, picture, chunks);
+                if let (true, Some(filter), Some(group)) = (chunks.of_subsets(), interleave, &bindings.interleave) {
+                    filter.record(encoder, scene, group, picture);
+                }
             })?;
         }
         Ok(())

@@ -1,7 +1,7 @@
 //! WGSL sources: imports, constants generated from Rust, dumping.
 
 use crate::twin::{
-    grid, penumbra,
+    grid, interleave, penumbra,
     shadow::{BINOMIAL_3, EVSM_EXPONENTS},
     vpl_maps::{DEPTH_SLACK, NEAREST_PLANE},
 };
@@ -25,6 +25,7 @@ pub const PASSES: &[(&str, &str)] = sources![
     "direct",
     "light_grid",
     "indirect",
+    "interleave",
     "traced_scatter",
     "compose",
     "layer",
@@ -49,6 +50,7 @@ pub const SHARED: &[(&str, &str)] = sources![
     "shared/vpl_maps",
     "shared/vpl_chunk",
     "shared/light_grid",
+    "shared/interleave",
     "shared/fullscreen",
     "shared/intersect",
     "shared/sampling",
@@ -128,6 +130,8 @@ pub fn generated_constants() -> String {
     f("GRID_OFF_PLANE_SPAN", grid::OFF_PLANE_SPAN);
     f("GRID_LEAST_WEIGHT", grid::LEAST_WEIGHT);
     f("GRID_ROUNDING", grid::ROUNDING);
+    f("INTERLEAVE_LEAST_COSINE", interleave::LEAST_COSINE);
+    f("INTERLEAVE_MOST_OFF_PLANE", interleave::MOST_OFF_PLANE);
     f("RAY_PAD", flat::PAD);
     f("RAY_LEAST_SLOPE", flat::LEAST_SLOPE);
     f("TRIANGLE_CONDITION", flat::CONDITION);

@@ -103,7 +103,8 @@ pub(crate) struct PictureTargets {
     pub base_color: Target,
     pub emission: Target,
     pub direct: Target,
-    /// Two, because chunks of VPLs are added to what earlier chunks left; the result is in the first.
+    /// Two, because chunks of VPLs are added to what earlier chunks left, and interleaved VPLs' light is filtered; the result
+    /// is in the first.
     pub indirect: [Target; 2],
     pub traced: Target,
     pub last: Target,

@@ -161,8 +161,8 @@ pub struct TracedPhotons {
     pub rays: u64,
     /// Paths whose walk met its cap.
     pub capped: u64,
-    /// What the indirect pass reads, a chunk each: count of its VPLs, number of the chunk over 0, the bound of the geometry
-    /// term as bits and 0; then three words a VPL.
+    /// What the indirect pass reads, a chunk each: count of its VPLs, of those before it, the bound of the geometry term as
+    /// bits and 0; count of all VPLs, side of the interleaved blocks, 0 and 0; then three words a VPL.
     pub chunks: Vec<Vec<[u32; 4]>>,
 }
 
@@ -198,7 +198,7 @@ impl SceneProbe<'_> {
 
     /// VPLs of `paths` by the kernels `photons` and `photons_pack`.
     /// * `edits`: as in [`Self::evaluate`], in either text
-    /// * `subsets`: of interleaved sampling; 1: none
+    /// * `interleave`: side of the blocks of pixels over which they are interleaved; 1: none
     ///
     /// # Errors
     /// As [`ShaderProbe::closest_hits`].
@@ -209,7 +209,7 @@ impl SceneProbe<'_> {
         &mut self,
         edits: &[(&str, &str)],
         paths: &LightPaths,
-        subsets: u32,
+        interleave: u32,
         geometry_term_max: f32,
     ) -> Result<TracedPhotons, RenderError> {
         let met = std::cell::Cell::new(0);
@@ -219,7 +219,7 @@ impl SceneProbe<'_> {
                 text.replace(from, to)
             })
         };
-        let inputs = PhotonInputs { paths, subsets, same: false };
+        let inputs = PhotonInputs { paths, interleave, same: false };
         let (read, words, stride) = self.held.photons(self.gpu, &inputs, geometry_term_max, &edit)?;
         assert_eq!(met.get(), edits.len(), "each of {edits:?} stands once in both texts together");
         let chunks = words.chunks_exact(stride).map(<[_]>::to_vec).collect();

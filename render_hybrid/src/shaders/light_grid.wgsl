@@ -60,7 +60,7 @@ fn light_grid(@builtin(global_invocation_id) id: vec3u) {
             blue += flux.z * arriving;
         }
     }
-    if pass_uniform.accumulate != 0u {
+    if pass_uniform.first != 0u {
         red += textureLoad(previous, id.xy, 0u, 0).xyz;
         green += textureLoad(previous, id.xy, 1u, 0).xyz;
         blue += textureLoad(previous, id.xy, 2u, 0).xyz;

@@ -12,6 +12,7 @@ use crate::{
     output::RayCounts,
     twin::{
         gbuffer::CameraScan,
+        interleave::{self, Guide},
         tile::{TileRect, TileScratch, fill_indirect},
     },
 };
@@ -56,14 +57,17 @@ pub fn trace_light(ctx: &FrameContext, lights: bool, vpls: bool, counts: &mut Ra
     let light_count = if lights { ctx.scene.lights.len() } else { 0 };
     let mut scan = CameraScan::default();
     scan.build(ctx.level, ctx.scene, ctx.accel, [width, height]);
-    let bands: Vec<(Vec<Vec<f32>>, Vec<[f32; 3]>, RayCounts)> = (0..height.div_ceil(tile))
+    let interleave = ctx.settings.vpl.map_or(1, |v| v.interleave);
+    let interleaved = vpls && interleave > 1;
+    let bands: Vec<(Vec<Vec<f32>>, Vec<[f32; 3]>, Vec<Guide>, RayCounts)> = (0..height.div_ceil(tile))
         .into_par_iter()
         .map(|band| {
             let y = band * tile;
             let rows = tile.min(height - y);
             let n = (rows * width) as usize;
             let mut visibility = vec![vec![1.0; n]; light_count];
-            let mut indirect = vec![[0.0; 3]; if vpls { n } else { 0 }];
+            let mut indirect = vec![[0.0; 3]; if vpls && !interleaved { n } else { 0 }];
+            let mut guides = vec![Guide::default(); if interleaved { n } else { 0 }];
             let mut counts = RayCounts::default();
             let mut scratch = TileScratch::default();
             scan.list.of_rows(y, y + rows - 1, &mut scratch.band);
@@ -87,22 +91,32 @@ pub fn trace_light(ctx: &FrameContext, lights: bool, vpls: bool, counts: &mut Ra
                             let start = g.points.ray_start(i);
                             plane[at] = shade::light_visibility(ctx, light as u32, &start, pixel, &mut counts);
                         }
-                        if vpls {
+                        if interleaved {
+                            guides[at] = scratch.guides[i];
+                        } else if vpls {
                             indirect[at] = (g.points.albedo(i) * g.points.irradiance(i)).to_array();
                         }
                     }
                 }
             }
-            (visibility, indirect, counts)
+            (visibility, indirect, guides, counts)
         })
         .collect();
     let mut out = TracedLight { visibility: vec![Vec::new(); light_count], indirect: Vec::new() };
-    for (visibility, indirect, c) in bands {
+    let mut guides = Vec::new();
+    for (visibility, indirect, of_subsets, c) in bands {
         for (plane, band) in out.visibility.iter_mut().zip(visibility) {
             plane.extend(band);
         }
         out.indirect.extend(indirect);
+        guides.extend(of_subsets);
         *counts = counts.merged(c);
+    }
+    if interleaved {
+        let pixels = (0..width * height).into_par_iter();
+        let filtered =
+            pixels.map(|i| interleave::filter(&guides, width, height, i % width, i / width, interleave).to_array());
+        filtered.collect_into_vec(&mut out.indirect);
     }
     out
 }

@@ -4,6 +4,8 @@
 //!
 //! Source: Segovia et al., "Non-interleaved Deferred Shading of Interleaved Sample Patterns", Graphics Hardware 2006; the
 //! pattern after Keller & Heidrich, "Interleaved Sampling", EGWR 2001.
+//!
+//! Twins: `shaders/shared/interleave.wgsl`, `shaders/interleave.wgsl` (tests/twins_light.rs, tests/light_interleave.rs).
 
 use glam::Vec3;
 use std::ops::Range;
@@ -12,9 +14,9 @@ use super::vpl::Vpl;
 use crate::trace::sampling;
 
 /// Normals whose cosine is less are another surface (about 18 degrees).
-const LEAST_COSINE: f32 = 0.95;
+pub(crate) const LEAST_COSINE: f32 = 0.95;
 /// A neighbour further off the plane than this share of its distance is another surface.
-const MOST_OFF_PLANE: f32 = 0.3;
+pub(crate) const MOST_OFF_PLANE: f32 = 0.3;
 
 /// What the filter knows of a pixel.
 #[derive(Clone, Copy, Debug, Default)]
@@ -30,12 +32,16 @@ pub struct Guide {
 }
 
 /// Which of the n² subsets lights the pixel at (x, y).
+///
+/// Twin: `split_place` in `shaders/shared/interleave.wgsl`, which puts the pixels of a subset into one draw's rectangle.
 #[inline]
 pub fn subset_of(x: u32, y: u32, n: u32) -> u32 {
     x % n + n * (y % n)
 }
 
 /// VPLs of subset `k` of `subsets` in a list that [`group_subsets`] has ordered.
+///
+/// Twin: `shaders/shared/interleave.wgsl`.
 pub fn subset_range(len: usize, k: u32, subsets: u32) -> Range<usize> {
     let (k, m) = (k as usize, subsets as usize);
     // Subset k holds ceil((len - k) / m).
@@ -61,6 +67,24 @@ pub fn group_subsets(vpls: &mut Vec<Vpl>, subsets: u32) {
     *vpls = out;
 }
 
+/// Pixels of a row or column of `most` over which the filter of the pixel at `c` goes.
+///
+/// Twin: `shaders/shared/interleave.wgsl`.
+#[inline]
+pub fn filter_span(c: u32, most: u32, n: u32) -> Range<u32> {
+    c.saturating_sub(n / 2)..(c + n - n / 2).min(most)
+}
+
+/// True where the light of `other` counts at `center`: it lies on the same surface. True of a pixel and itself.
+///
+/// Twin: `shaders/shared/interleave.wgsl`.
+#[inline]
+pub fn same_surface(center: &Guide, other: &Guide) -> bool {
+    let to = other.position_world - center.position_world;
+    let off = center.normal.dot(to);
+    center.normal.dot(other.normal) >= LEAST_COSINE && off * off <= MOST_OFF_PLANE * MOST_OFF_PLANE * to.dot(to)
+}
+
 /// Radiance of pixel (x, y): its albedo times the mean irradiance of the n x n pixels around it that lie on its surface.
 ///
 /// * `guides`: one a pixel, row 0 on top
@@ -69,17 +93,11 @@ pub fn filter(guides: &[Guide], width: u32, height: u32, x: u32, y: u32, n: u32)
     if center.albedo == Vec3::ZERO {
         return Vec3::ZERO;
     }
-    let span = |c: u32, most: u32| c.saturating_sub(n / 2)..(c + n - n / 2).min(most);
     let (mut sum, mut count) = (Vec3::ZERO, 0.0f32);
-    for v in span(y, height) {
-        for u in span(x, width) {
+    for v in filter_span(y, height, n) {
+        for u in filter_span(x, width, n) {
             let g = &guides[(v * width + u) as usize];
-            if g.albedo == Vec3::ZERO || center.normal.dot(g.normal) < LEAST_COSINE {
-                continue;
-            }
-            let to = g.position_world - center.position_world;
-            let off = center.normal.dot(to);
-            if off * off <= MOST_OFF_PLANE * MOST_OFF_PLANE * to.dot(to) {
+            if g.albedo != Vec3::ZERO && same_surface(center, g) {
                 sum += g.irradiance;
                 count += 1.0;
             }

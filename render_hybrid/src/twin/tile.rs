@@ -95,10 +95,7 @@ pub fn render_tile(ctx: &FrameContext, scan: &CameraScan, rect: TileRect, s: &mu
     lap(0, &mut stats);
     fill_direct(ctx, s, &mut stats.rays);
     lap(1, &mut stats);
-    match ctx.settings.vpl.map_or(1, |v| v.interleave) {
-        n if n > 1 => fill_guides(ctx, n, s, &mut stats.rays),
-        _ => fill_indirect(ctx, s, &mut stats.rays),
-    }
+    fill_indirect(ctx, s, &mut stats.rays);
     lap(2, &mut stats);
     fill_traced(ctx, scan, s, &mut stats);
     lap(3, &mut stats);
@@ -117,8 +114,12 @@ fn fill_direct(ctx: &FrameContext, s: &mut TileScratch, rays: &mut RayCounts) {
     direct::direct_light(ctx, &mut g.points, pixel, rays);
 }
 
-/// Irradiance of the tile's pixels by all VPLs.
+/// Irradiance of the tile's pixels by all VPLs; where those are interleaved, what the filter over the whole picture needs.
 pub fn fill_indirect(ctx: &FrameContext, s: &mut TileScratch, rays: &mut RayCounts) {
+    let interleave = ctx.settings.vpl.map_or(1, |v| v.interleave);
+    if interleave > 1 {
+        return fill_guides(ctx, interleave, s, rays);
+    }
     if ctx.grid.is_built() {
         return fill_from_grid(ctx, s, rays);
     }

@@ -68,17 +68,17 @@ fn strangers(a: &[Vpl], b: &[Vpl], radius: f32) -> usize {
 }
 
 /// The chunks hold the list, in order, behind true heads.
-fn chunks_hold(made: &TracedPhotons) -> bool {
+fn chunks_hold(made: &TracedPhotons, interleave: u32) -> bool {
     let count = made.vpls.len();
     made.chunks.iter().enumerate().all(|(chunk, words)| {
         let own = &made.vpls[(chunk * CHUNK).min(count)..((chunk + 1) * CHUNK).min(count)];
-        let head = [own.len() as u32, u32::from(chunk > 0), BOUND.to_bits(), 0];
+        let heads = [[own.len() as u32, (chunk * CHUNK) as u32, BOUND.to_bits(), 0], [count as u32, interleave, 0, 0]];
         let words_of = |v: &Vpl| {
             let word = |v: Vec3, w: u32| [v.x.to_bits(), v.y.to_bits(), v.z.to_bits(), w];
             [word(v.position_world, v.error.to_bits()), word(v.normal_world, 0), word(v.flux, 0)]
         };
         let body: Vec<[u32; 4]> = own.iter().flat_map(words_of).collect();
-        words[0] == head && words[1..=body.len()] == body
+        words[..2] == heads && words[2..2 + body.len()] == body
     })
 }
 
@@ -97,20 +97,20 @@ fn light_paths_and_their_lists_are_those_of_the_cpu() {
     let paths = cpu.paths(&scene, &normals, &options, 5);
     assert!(expected.len() > CHUNK && paths.starts.iter().any(|s| s.vpl.is_some()) && paths.frames.len() == 4);
     let mut held = probe.hold(&scene, &accel).unwrap();
-    let mut make = |edits: &[(&str, &str)], subsets: u32| held.photons(edits, &paths, subsets, BOUND).unwrap();
+    let mut make = |edits: &[(&str, &str)], interleave: u32| held.photons(edits, &paths, interleave, BOUND).unwrap();
 
     let made = make(&[], 1);
     let alone = strangers(&made.vpls, &expected, radius);
     println!("{} VPLs, {} on the CPU, {alone} strangers; {} rays, {rays}", made.vpls.len(), expected.len(), made.rays);
     // Paths that part at an edge go on elsewhere.
     assert!(alone * 100 <= expected.len() && made.rays.abs_diff(rays) * 100 <= rays && made.capped == 0);
-    assert!(chunks_hold(&made) && made.chunks.len() == 3);
+    assert!(chunks_hold(&made, 1) && made.chunks.len() == 3);
     // The last group of nine is a short one.
     assert_ne!(made.vpls.len() % 9, 0);
     let mut grouped = made.vpls.clone();
     group_subsets(&mut grouped, 9);
-    let by_subsets = make(&[], 9);
-    assert!(by_subsets.vpls == grouped && chunks_hold(&by_subsets));
+    let by_subsets = make(&[], 3);
+    assert!(by_subsets.vpls == grouped && chunks_hold(&by_subsets, 3));
 
     for (name, from, to) in [
         ("mirrors reflect diffusely", "(s.look.diffuse * matte_weight(s.look))", "s.look.diffuse"),
@@ -133,12 +133,13 @@ fn light_paths_and_their_lists_are_those_of_the_cpu() {
         ("VPLs without flux are kept", "lit += u32(is_lit(slot));", "lit += 1u;"),
         ("a group is not turned", "subset = (subset + m - turn) % m;", ""),
         ("short groups", "+ min(subset, count % m)", ""),
-        ("each chunk is the first", "u32(chunk > 0u)", "0u"),
+        ("each chunk is the first", "vec4u(count, chunk * VPL_CHUNK", "vec4u(count, 0u"),
+        ("the number of all is lost", "vec4u(next, pack.interleave", "vec4u(count, pack.interleave"),
         ("chunks overlap", "(place / VPL_CHUNK) * pack.stride", "0u * pack.stride"),
         ("the bound is lost", "bitcast<u32>(pack.geometry_term_max), 0u", "0u, 0u"),
         ("error is lost", "array(slots[source],", "array(vec4u(slots[source].xyz, 0u),"),
     ] {
-        let faulty = make(&[(from, to)], 9);
-        assert!(faulty.vpls != grouped || !chunks_hold(&faulty), "lists do not notice {name:?}");
+        let faulty = make(&[(from, to)], 3);
+        assert!(faulty.vpls != grouped || !chunks_hold(&faulty, 3), "lists do not notice {name:?}");
     }
 }

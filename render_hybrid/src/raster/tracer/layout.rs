@@ -74,7 +74,7 @@ pub(crate) struct PhotonUniform {
 pub(crate) struct PackUniform {
     pub slots: u32,
     pub slots_a_path: u32,
-    pub subsets: u32,
+    pub interleave: u32,
     pub stride: u32,
     pub geometry_term_max: f32,
     pub chunks: u32,
@@ -271,7 +271,7 @@ mod tests {
             PackUniform,
             slots,
             slots_a_path,
-            subsets,
+            interleave,
             stride,
             geometry_term_max,
             chunks,

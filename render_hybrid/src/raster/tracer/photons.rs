@@ -31,14 +31,16 @@ pub(crate) const PATH_WORDS: u32 = 6;
 pub(crate) const SOURCE_WORDS: u32 = 4;
 /// Words of a VPL.
 pub(crate) const SLOT_WORDS: u32 = 3;
+/// Words of the head of an indirect pass's chunk.
+pub(crate) const HEAD_WORDS: u32 = (size_of::<IndirectHead>() / size_of::<Word>()) as u32;
 const WORD_BYTES: u64 = size_of::<Word>() as u64;
 
 /// What the frame's VPLs are made of and for.
 #[derive(Clone, Copy)]
 pub(crate) struct PhotonInputs<'a> {
     pub paths: &'a LightPaths,
-    /// Subsets of interleaved sampling; 1: none.
-    pub subsets: u32,
+    /// Side of the blocks of pixels over which they are interleaved; 1: none.
+    pub interleave: u32,
     /// Nothing that they depend on has changed since the last frame.
     pub same: bool,
 }
@@ -184,7 +186,7 @@ impl GpuPhotons {
         let pack = PackUniform {
             slots,
             slots_a_path: paths.slots_a_path,
-            subsets: inputs.subsets,
+            interleave: inputs.interleave,
             stride: (stride / WORD_BYTES) as u32,
             // Infinity is no number for a shader.
             geometry_term_max: geometry_term_max.min(f32::MAX),

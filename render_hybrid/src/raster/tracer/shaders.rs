@@ -141,6 +141,7 @@ fn constants(v: &Variant) -> String {
     u("PATH_WORDS", super::photons::PATH_WORDS);
     u("SOURCE_WORDS", super::photons::SOURCE_WORDS);
     u("SLOT_WORDS", super::photons::SLOT_WORDS);
+    u("HEAD_WORDS", super::photons::HEAD_WORDS);
     u("TRACE_GROUP", TRACE_GROUP);
     u("TRACE_COUNTERS", COUNTERS);
     u("RAYS_REFLECTION", 0);

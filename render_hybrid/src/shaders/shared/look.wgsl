@@ -139,3 +139,14 @@ fn look_of(material: Material, base_color: vec3f, packed: f32, packed_reflectanc
 fn matte_weight(look: Look) -> f32 {
     return (1.0 - look.mirror) * (1.0 - look.transmission);
 }
+
+// What turns irradiance at a pixel into radiance; zero where it has no matte share. Twin: PointBatch::albedo.
+// * `color`: the G-buffer's base colour
+fn matte_albedo(material: Material, color: vec4f) -> vec3f {
+    if material.unlit != 0u {
+        return vec3f(0.0);
+    }
+    // The highlight, which reflectance makes, is not asked for.
+    let look = look_of(material, color.xyz, color.w, 0.0);
+    return color.xyz * (matte_weight(look) * look.diffuse / PI);
+}

@@ -6,7 +6,8 @@ struct PackUniform {
     // Slots of all paths, and of one.
     slots: u32,
     slots_a_path: u32,
-    subsets: u32,
+    // Side of the blocks of pixels over which VPLs are interleaved; 1: none.
+    interleave: u32,
     // Words from one chunk of the indirect pass to the next.
     stride: u32,
     geometry_term_max: f32,
@@ -32,7 +33,7 @@ fn is_lit(slot: u32) -> bool {
 
 // Twin: twin/interleave.rs, group_subsets.
 fn place_of(i: u32, count: u32) -> u32 {
-    let m = pack.subsets;
+    let m = pack.interleave * pack.interleave;
     let group = i / m;
     var subset = i % m;
     if (group + 1u) * m <= count {
@@ -72,7 +73,8 @@ fn pack_photons(@builtin(local_invocation_index) lane: u32) {
         for (var chunk = 0u; chunk < pack.chunks; chunk += 1u) {
             let count = min(next - min(next, chunk * VPL_CHUNK), VPL_CHUNK);
             packed[chunk * pack.stride] =
-                vec4u(count, u32(chunk > 0u), bitcast<u32>(pack.geometry_term_max), 0u);
+                vec4u(count, chunk * VPL_CHUNK, bitcast<u32>(pack.geometry_term_max), 0u);
+            packed[chunk * pack.stride + 1u] = vec4u(next, pack.interleave, 0u, 0u);
         }
     }
     workgroupBarrier();
@@ -83,7 +85,7 @@ fn pack_photons(@builtin(local_invocation_index) lane: u32) {
             let place = place_of(next, count);
             next += 1u;
             let source = slot * SLOT_WORDS;
-            let into = (place / VPL_CHUNK) * pack.stride + 1u + (place % VPL_CHUNK) * SLOT_WORDS;
+            let into = (place / VPL_CHUNK) * pack.stride + HEAD_WORDS + (place % VPL_CHUNK) * SLOT_WORDS;
             let words = array(slots[source], vec4u(slots[source + 1u].xyz, 0u), vec4u(slots[source + 2u].xyz, 0u));
             for (var w = 0u; w < SLOT_WORDS; w += 1u) {
                 var own = words;
