@@ -3,7 +3,7 @@
 use catoptra_engine::{Camera, LightKind, Material, RenderScene, shapes};
 use catoptra_render_hybrid::{
     BlasKind, Image, Layer, Preset, RasterLane, RenderSettings, Renderer, RendererOptions, Shadows, SimdLevel,
-    VplOptions, metrics,
+    VplOptions, VplPlacement, metrics,
     raster::GpuRaster,
     trace::reference::{ReferenceAccumulator, ReferenceOptions},
 };
@@ -22,11 +22,19 @@ fn mean(image: &Image) -> f64 {
     image.pixels.iter().flatten().map(|v| f64::from(*v)).sum::<f64>() / (3 * image.pixels.len()) as f64
 }
 
-/// The `high` preset at 128 x 128, small enough for tests: a place every other pixel.
+/// The `high` preset at 128 x 128, small enough for tests: a place every other pixel, and VPLs on light paths, among which there
+/// is a choice.
 fn high() -> RenderSettings {
     let preset = RenderSettings::preset(Preset::High);
     let base = small(128, 128, 128);
-    let vpl = preset.vpl.map(|v| VplOptions { count: 256, bounces: 2, spacing: 2, map_size: 16, ..v });
+    let vpl = preset.vpl.map(|v| VplOptions {
+        count: 256,
+        placement: VplPlacement::Paths,
+        bounces: 2,
+        spacing: 2,
+        map_size: 16,
+        ..v
+    });
     RenderSettings { vpl, shadows: preset.shadows, ..base }
 }
 
