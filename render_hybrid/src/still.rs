@@ -24,10 +24,7 @@ pub(crate) struct LitBy {
     lights: Vec<Light>,
     /// Transform, mesh and material by instance.
     instances: Vec<(Affine3, u32, u32)>,
-    materials: Vec<Material>,
-    /// Held, so that their addresses stay their own.
-    meshes: Vec<Arc<Mesh>>,
-    textures: Vec<Arc<Texture>>,
+    assets: SameAssets,
 }
 
 impl LitBy {
@@ -43,9 +40,7 @@ impl LitBy {
             && (self.view == view || on_surfels)
             && self.lights == scene.lights
             && self.instances.iter().copied().eq(instances())
-            && self.materials == scene.materials
-            && same_arcs(&self.meshes, &scene.meshes)
-            && same_arcs(&self.textures, &scene.textures);
+            && self.assets.are_those_of(scene);
         if !same {
             self.known = true;
             self.options = options;
@@ -53,9 +48,7 @@ impl LitBy {
             self.lights.clone_from(&scene.lights);
             self.instances.clear();
             self.instances.extend(instances());
-            self.materials.clone_from(&scene.materials);
-            keep_arcs(&mut self.meshes, &scene.meshes);
-            keep_arcs(&mut self.textures, &scene.textures);
+            self.assets.remember(scene);
         }
         same
     }
@@ -63,6 +56,29 @@ impl LitBy {
     /// The VPLs are gone.
     pub fn forget(&mut self) {
         self.known = false;
+    }
+}
+
+/// Materials, meshes and textures of a scene.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct SameAssets {
+    materials: Vec<Material>,
+    /// Held, so that their addresses stay their own.
+    meshes: Vec<Arc<Mesh>>,
+    textures: Vec<Arc<Texture>>,
+}
+
+impl SameAssets {
+    pub fn are_those_of(&self, scene: &RenderScene) -> bool {
+        self.materials == scene.materials
+            && same_arcs(&self.meshes, &scene.meshes)
+            && same_arcs(&self.textures, &scene.textures)
+    }
+
+    pub fn remember(&mut self, scene: &RenderScene) {
+        self.materials.clone_from(&scene.materials);
+        keep_arcs(&mut self.meshes, &scene.meshes);
+        keep_arcs(&mut self.textures, &scene.textures);
     }
 }
 
@@ -75,9 +91,7 @@ pub(crate) struct KeptBy {
     lights: Vec<(u64, Discriminant<LightKind>)>,
     /// Stable id, mesh and material by instance.
     instances: Vec<(u64, u32, u32)>,
-    materials: Vec<Material>,
-    meshes: Vec<Arc<Mesh>>,
-    textures: Vec<Arc<Texture>>,
+    assets: SameAssets,
 }
 
 impl KeptBy {
@@ -90,9 +104,7 @@ impl KeptBy {
             && self.options == options
             && self.lights.iter().copied().eq(lights())
             && self.instances.iter().copied().eq(instances())
-            && self.materials == scene.materials
-            && same_arcs(&self.meshes, &scene.meshes)
-            && same_arcs(&self.textures, &scene.textures);
+            && self.assets.are_those_of(scene);
         if !same {
             self.known = true;
             self.options = options;
@@ -100,9 +112,7 @@ impl KeptBy {
             self.lights.extend(lights());
             self.instances.clear();
             self.instances.extend(instances());
-            self.materials.clone_from(&scene.materials);
-            keep_arcs(&mut self.meshes, &scene.meshes);
-            keep_arcs(&mut self.textures, &scene.textures);
+            self.assets.remember(scene);
         }
         same
     }
@@ -220,11 +230,11 @@ pub(crate) fn meets(b: &Aabb, origin: Vec3, direction: Vec3) -> bool {
     from <= to * (1.0 + 1e-5) + 1e-6
 }
 
-pub(crate) fn same_arcs<T>(a: &[Arc<T>], b: &[Arc<T>]) -> bool {
+fn same_arcs<T>(a: &[Arc<T>], b: &[Arc<T>]) -> bool {
     a.len() == b.len() && a.iter().zip(b).all(|(a, b)| Arc::ptr_eq(a, b))
 }
 
-pub(crate) fn keep_arcs<T>(to: &mut Vec<Arc<T>>, from: &[Arc<T>]) {
+fn keep_arcs<T>(to: &mut Vec<Arc<T>>, from: &[Arc<T>]) {
     to.clear();
     to.extend(from.iter().cloned());
 }

@@ -12,10 +12,9 @@
 //! Sources: Keller, "Instant Radiosity", SIGGRAPH 1997 (the light paths); Dong et al., "Real-time Indirect Illumination with
 //! Clustered Visibility", VMV 2009 (many landings for one VPL).
 
-use catoptra_engine::{Material, Mesh, RenderScene, Texture};
+use catoptra_engine::{Mesh, RenderScene};
 use glam::{Affine3, Vec3};
 use rayon::prelude::*;
-use std::sync::Arc;
 
 use super::{
     photons::vpl_at,
@@ -27,7 +26,7 @@ use crate::{
     accel::{Hit, Ray},
     settings::SimdLevel,
     simd::dispatch,
-    still::{keep_arcs, same_arcs},
+    still::SameAssets,
     twin::vpl::Vpl,
 };
 
@@ -116,9 +115,7 @@ struct MadeFor {
     count: u32,
     /// Mesh, material and scale of each instance.
     instances: Vec<(u32, u32, u32)>,
-    meshes: Vec<Arc<Mesh>>,
-    materials: Vec<Material>,
-    textures: Vec<Arc<Texture>>,
+    assets: SameAssets,
 }
 
 /// What a part of the landings gives.
@@ -285,18 +282,13 @@ impl MadeFor {
     /// True where something has changed; remembers the scene.
     fn update(&mut self, scene: &RenderScene, count: u32) -> bool {
         let instances = || scene.instances.iter().map(|i| (i.mesh, i.material, rounded_scale(i.world_from_object)));
-        let same = self.count == count
-            && self.instances.iter().copied().eq(instances())
-            && same_arcs(&self.meshes, &scene.meshes)
-            && self.materials == scene.materials
-            && same_arcs(&self.textures, &scene.textures);
+        let same =
+            self.count == count && self.instances.iter().copied().eq(instances()) && self.assets.are_those_of(scene);
         if !same {
             self.count = count;
             self.instances.clear();
             self.instances.extend(instances());
-            keep_arcs(&mut self.meshes, &scene.meshes);
-            self.materials.clone_from(&scene.materials);
-            keep_arcs(&mut self.textures, &scene.textures);
+            self.assets.remember(scene);
         }
         !same
     }
