@@ -161,7 +161,7 @@ fn flicker_with_reuse() {
     }
 }
 
-/// Maps of 64 texels of 6,144 VPLs are made anew for every frame.
+/// Where VPLs lie on light paths, 6,144 maps of 64 texels are made anew for every frame in which a light moves.
 #[test]
 #[ignore = "hours: run by hand, see docs/light.md"]
 fn flicker_of_high() {
