@@ -315,8 +315,8 @@ impl RenderSettings {
             },
             // Each pixel would take 16 times as long, and each hit in a mirror 60 times (docs/light.md).
             // With so few VPLs a higher bound shows as bright spots around each, at no gain in FLIP, and maps of twice the side
-            // cost 13 ms a frame for 0.004 to 0.008 of FLIP. Rays worth less than 1/50 are a third of the donut's time and nothing
-            // against the reference (docs/light.md).
+            // cost 2 to 5 ms a frame for 0.005 to 0.008 of FLIP, on light paths 13 ms. Rays worth less than 1/50 are a third of
+            // the donut's time and nothing against the reference (docs/light.md).
             Preset::Interactive => Self {
                 vpl: Some(VplOptions {
                     count: 400,

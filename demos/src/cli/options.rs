@@ -211,7 +211,7 @@ pub struct PictureArgs {
     /// Texels a side of a virtual point light's shadow map: 16, 32 or 64
     #[arg(long, value_name = "N")]
     pub vpl_map_size: Option<u32>,
-    /// Candidates for each virtual point light: those that give most to the picture are kept; 1: all
+    /// Candidates for each virtual point light on light paths: those that give most to the picture are kept; 1: all
     #[arg(long, value_name = "N")]
     pub vpl_candidates: Option<u32>,
     /// Where virtual point lights lie: where light paths land, or on a fixed pattern of all surfaces
