@@ -363,6 +363,19 @@ pub(crate) fn light_grid(
     rays
 }
 
+/// The light that the bound of the VPLs cuts off, on such a grid.
+pub(crate) fn close_light(
+    state: &mut FrameState,
+    level: SimdLevel,
+    scene: &RenderScene,
+    settings: &RenderSettings,
+) -> RayCounts {
+    let mut grid = std::mem::take(&mut state.grid);
+    let rays = grid.build_close(&context(state, level, scene, settings));
+    state.grid = grid;
+    rays
+}
+
 /// Gives every thread the room that one of them needed: which gets which tile is chance, memory for it must not be.
 fn share_memory(scratches: &[std::sync::Mutex<TileScratch>]) {
     let all = || scratches.iter().map(|s| s.lock().unwrap_or_else(std::sync::PoisonError::into_inner));

@@ -17,20 +17,20 @@ use std::time::Instant;
 use crate::{
     error::RenderError,
     frame::{
-        context, geometry_term_max, light_grid, merge_non_finite, milliseconds, moments, shadow_plan, structures,
+        close_light, context, geometry_term_max, light_grid, merge_non_finite, milliseconds, moments, shadow_plan, structures,
         virtual_lights,
     },
     output::{Frame, FrameStats, Image, Layer, RayCounts, StageInterval, StageTimes},
     raster::{GpuRaster, Indirect, PhotonInputs, RasterInputs, TracedCounts},
     renderer::FrameState,
-    settings::{RasterLane, RenderSettings, Shadows, SimdLevel, Tracer, VplShadows},
+    settings::{NearField, RasterLane, RenderSettings, Shadows, SimdLevel, Tracer, VplShadows},
     trace::{
         budget,
         camera_rays::{self, TracedLight},
         photons::LightPaths,
         whitted::{self, MaskedPixel},
     },
-    twin::{grid::has_near_field, shadow::ShadowPlan, vpl_maps::VplMaps},
+    twin::{grid::near_field_of, shadow::ShadowPlan, vpl_maps::VplMaps},
 };
 
 /// A frame that is lit on the GPU and not traced yet.
@@ -305,8 +305,8 @@ fn light(
 
     // Where visibility is traced, the CPU finds it.
     let trace_lights = matches!(settings.shadows, Shadows::Traced | Shadows::Certified);
-    let near_field = has_near_field(settings);
-    if settings.shadows == Shadows::Certified || near_field {
+    let near_field = near_field_of(settings);
+    if settings.shadows == Shadows::Certified || near_field == NearField::Full {
         clock.run("moments", &mut told, || moments(state, level, scene, settings, stats));
     }
     let too_many = state.photons.vpls.len() > gpu.most_vpl_maps() as usize;
@@ -327,8 +327,11 @@ fn light(
         });
     }
     let visibility = trace_lights.then_some(traced.visibility.as_slice());
-    if near_field && !trace_vpls {
-        let rays = clock.run("light grid", &mut told, || light_grid(state, level, scene, settings));
+    if near_field != NearField::Off && !trace_vpls {
+        let rays = clock.run("light grid", &mut told, || match near_field {
+            NearField::Full => light_grid(state, level, scene, settings),
+            _ => close_light(state, level, scene, settings),
+        });
         stats.rays = stats.rays.merged(rays);
     }
     let bound = geometry_term_max(scene, settings);
@@ -342,10 +345,11 @@ fn light(
         stats.tracer_fallback.clone_from(&state.tracer_fallback);
     }
     // Without VPLs there is no grid either.
-    let indirect = match (trace_vpls, near_field && state.grid.is_built()) {
-        (true, _) => Indirect::Layer(&traced.indirect),
-        (false, true) => Indirect::Grid(state.grid.points()),
-        (false, false) => Indirect::Vpls,
+    let indirect = match near_field {
+        _ if trace_vpls => Indirect::Layer(&traced.indirect),
+        NearField::Light if state.grid.is_built() => Indirect::VplsAnd(state.grid.points()),
+        NearField::Full if state.grid.is_built() => Indirect::Grid(state.grid.points()),
+        _ => Indirect::Vpls,
     };
     if !on_gpu {
         clock.run("submit light", &mut ms.transfer, || gpu.light(&state.photons.vpls, bound, visibility, indirect))?;
@@ -403,7 +407,7 @@ fn traces_on_gpu(
 /// mirrors are lit by the same ones; VPLs that are kept from frame to frame are the CPU's.
 fn photons_on_gpu(gpu: &GpuRaster, settings: &RenderSettings) -> bool {
     let alone = settings.vpl.is_some_and(|v| {
-        v.shadows == VplShadows::Off && v.mirrored == 0 && v.candidates == 1 && !v.near_field && v.reuse == 0
+        v.shadows == VplShadows::Off && v.mirrored == 0 && v.candidates == 1 && v.near_field == NearField::Off && v.reuse == 0
     });
     settings.traced && gpu.has_photons() && alone
 }

@@ -160,6 +160,18 @@ pub enum VplPlacement {
     Surfels,
 }
 
+/// What rays from the places of the grid bring of what stands close to them.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum NearField {
+    /// Nothing: corners are too dark, since the geometry term is bounded.
+    #[default]
+    Off,
+    /// The light that [`VplOptions::geometry_term_max`] cuts off: 16 rays, no longer than that light reaches.
+    Light,
+    /// That, and occluders too close for the VPLs' maps: 64 rays, and more VPLs at what they meet. Four to six times the cost.
+    Full,
+}
+
 /// Virtual point lights.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct VplOptions {
@@ -189,9 +201,9 @@ pub struct VplOptions {
     /// surfaces: 1 (every pixel), 2, 4, 8 or 16. Higher: 1/n² of the cost, shadows of VPLs soft to n pixels. Less where it
     /// would leave fewer than 64 places along the shorter side. Not where visibility is traced or VPLs are interleaved.
     pub spacing: u32,
-    /// 64 rays from each place of the grid find what stands close to it: the light that [`Self::geometry_term_max`] cuts off,
-    /// and occluders too close for the VPLs' maps. No effect where there is no grid or a cap on rays. On the CPU in both lanes.
-    pub near_field: bool,
+    /// What rays from each place of the grid find close to it. Higher: lighter corners, then darker contacts, more rays. No
+    /// effect where there is no grid or a cap on rays. On the CPU in both lanes, with `Full` all of the grid.
+    pub near_field: NearField,
     /// VPLs, without visibility, that light what mirrors and glass show, a set of their own; 0: the same as what is seen
     /// directly. Cost is linear in it, for each hit. With [`Self::spacing`] they also light pixels that the grid cannot tell.
     pub mirrored: u32,
@@ -214,7 +226,7 @@ impl Default for VplOptions {
             map_size: 32,
             interleave: 1,
             spacing: 1,
-            near_field: false,
+            near_field: NearField::Off,
             mirrored: 0,
             reuse: 0,
         }
@@ -325,6 +337,7 @@ impl RenderSettings {
                     geometry_term_max: Some(30.0),
                     map_size: 16,
                     spacing: 16,
+                    near_field: NearField::Light,
                     mirrored: 64,
                     ..VplOptions::default()
                 }),
@@ -341,7 +354,7 @@ impl RenderSettings {
                     geometry_term_max: Some(400.0),
                     map_size: 64,
                     spacing: 2,
-                    near_field: true,
+                    near_field: NearField::Full,
                     ..VplOptions::default()
                 }),
                 max_depth: 16,

@@ -2,7 +2,7 @@
 
 use catoptra_engine::{Camera, LightKind, Material, RenderScene, shapes};
 use catoptra_render_hybrid::{
-    BlasKind, Image, Layer, Preset, RasterLane, RenderSettings, Renderer, RendererOptions, Shadows, SimdLevel,
+    BlasKind, Image, Layer, Preset, RasterLane, NearField, RenderSettings, Renderer, RendererOptions, Shadows, SimdLevel,
     VplOptions, VplPlacement, metrics,
     raster::GpuRaster,
     trace::reference::{ReferenceAccumulator, ReferenceOptions},
@@ -51,7 +51,7 @@ fn truth(scene: &RenderScene, settings: &RenderSettings, spp: u32) -> Image {
 }
 
 fn chosen(settings: RenderSettings, count: u32, candidates: u32) -> RenderSettings {
-    with(settings, |v| (v.count, v.candidates, v.near_field) = (count, candidates, false))
+    with(settings, |v| (v.count, v.candidates, v.near_field) = (count, candidates, NearField::Off))
 }
 
 /// A floor of 40 m with a light high above, most of which lies outside of the picture.
@@ -122,7 +122,7 @@ fn the_near_field_brings_back_what_the_bound_cuts_off() {
         let image = scene.render(&with(base, |v| v.near_field = near_field)).image;
         (mean(&image) / mean(&reference), metrics::rel_mse(&image, &reference))
     };
-    let ((dark, error_without), (right, error)) = (of(false), of(true));
+    let ((dark, error_without), (right, error)) = (of(NearField::Off), of(NearField::Full));
     println!("light {dark:.4} and {right:.4} of the truth, relMSE {error_without:.5} and {error:.5}");
     assert!(dark < 0.97, "the bound must cut something off: {dark}");
     assert!((right - 1.0).abs() < 0.015, "{right}");
@@ -146,7 +146,7 @@ fn the_near_field_sees_occluders_that_maps_miss() {
     let vpl = VplOptions { candidates: 1, count: 512, ..base.vpl.unwrap() };
     let oracle = indirect(full_vpls(2048, 2));
     let error = |near_field| metrics::rel_mse(&indirect(VplOptions { near_field, ..vpl }), &oracle);
-    let (without, with) = (error(false), error(true));
+    let (without, with) = (error(NearField::Off), error(NearField::Full));
     println!("relMSE {without:.2e} by maps, {with:.2e} with the near field");
     assert!(with < 0.6 * without, "{with} against {without}");
 }
@@ -167,7 +167,7 @@ fn one_hash_for_threads_levels_and_trees() {
     }
     for (what, change) in [
         ("candidates", with(settings, |v| v.candidates = 1)),
-        ("the near field", with(settings, |v| v.near_field = false)),
+        ("the near field", with(settings, |v| v.near_field = NearField::Off)),
     ] {
         let other = fresh(&scene, &change).image.hash();
         assert_ne!(other, expected, "{what} does not show");
@@ -206,7 +206,7 @@ fn the_lanes_agree() {
             ("certified", high()),
             ("filtered", filtered),
             // Nothing of the grid that the CPU sent may stay behind.
-            ("no near field", with(filtered, |v| v.near_field = false)),
+            ("no near field", with(filtered, |v| v.near_field = NearField::Off)),
         ] {
             let (a, b) = (gpu.render(&scene, &settings).unwrap(), cpu.render(&scene, &settings).unwrap());
             let c = metrics::compare(&a.image, &b.image).unwrap();

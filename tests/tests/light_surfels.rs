@@ -7,7 +7,7 @@ use catoptra_engine::{
     shapes::{ShapeBuilder, cuboid, sphere},
 };
 use catoptra_render_hybrid::{
-    BlasKind, RenderSettings, RendererOptions, SimdLevel, VplOptions, VplPlacement,
+    BlasKind, NearField, RenderSettings, RendererOptions, SimdLevel, VplOptions, VplPlacement,
     accel::{Accel, AccelOptions},
     trace::{photons::Photons, surface::NormalMatrices},
     twin::vpl::Vpl,
@@ -29,7 +29,7 @@ const SURFELS: VplOptions = VplOptions {
     map_size: 16,
     spacing: 1,
     mirrored: 0,
-    near_field: false,
+    near_field: NearField::Off,
     interleave: 1,
     reuse: 0,
 };

@@ -103,6 +103,18 @@ pub enum VplPlacementArg {
     Surfels,
 }
 
+/// What rays from the places of the grid bring of what stands close to them.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum NearFieldArg {
+    /// Nothing.
+    Off,
+    /// The light that the bound of virtual point lights cuts off.
+    Light,
+    /// That, and occluders that their maps miss, by four times as many rays.
+    #[value(alias = "on")]
+    Full,
+}
+
 /// Shadows of virtual point lights.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
 #[allow(missing_docs)]
@@ -223,9 +235,9 @@ pub struct PictureArgs {
     /// Pixels between the places where virtual point lights are evaluated: 1 (each pixel), 2, 4, 8 or 16
     #[arg(long, value_name = "N")]
     pub vpl_spacing: Option<u32>,
-    /// Rays from the places where virtual point lights are evaluated find light and occluders close by
-    #[arg(long, value_name = "on|off", value_parser = parse_switch)]
-    pub vpl_near_field: Option<bool>,
+    /// What rays from the places where virtual point lights are evaluated find close by
+    #[arg(long, value_enum)]
+    pub vpl_near_field: Option<NearFieldArg>,
     /// Virtual point lights, without shadows, that light what mirrors and glass show; 0: the same as elsewhere
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(0..=1 << 20))]
     pub mirror_vpls: Option<u32>,
@@ -358,7 +370,13 @@ impl PictureArgs {
         if let Some(Bound(bound)) = self.vpl_bound {
             v.geometry_term_max = bound;
         }
-        v.near_field = self.vpl_near_field.unwrap_or(v.near_field);
+        if let Some(near_field) = self.vpl_near_field {
+            v.near_field = match near_field {
+                NearFieldArg::Off => hybrid::NearField::Off,
+                NearFieldArg::Light => hybrid::NearField::Light,
+                NearFieldArg::Full => hybrid::NearField::Full,
+            };
+        }
         v.candidates = self.vpl_candidates.unwrap_or(v.candidates);
         v.interleave = self.vpl_interleave.unwrap_or(v.interleave);
         v.spacing = self.vpl_spacing.unwrap_or(v.spacing);

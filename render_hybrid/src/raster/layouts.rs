@@ -398,7 +398,7 @@ pub(crate) struct InterleaveUniform {
 pub(crate) struct GridUniform {
     pub size: [u32; 2],
     pub spacing: u32,
-    pub unused: u32,
+    pub adds: u32,
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Pod, Zeroable)]
@@ -583,7 +583,7 @@ mod tests {
         );
         assert_layout!("direct", "DirectUniform", DirectUniform, visibility, min_variance, light_bleed_reduction, evsm);
         assert_layout!("indirect", "Vpl", VplData, position_world, error, normal_world, map, flux, unused2);
-        assert_layout!("indirect", "GridUniform", GridUniform, size, spacing, unused);
+        assert_layout!("indirect", "GridUniform", GridUniform, size, spacing, adds);
         assert_layout!("indirect", "SubsetUniform", SubsetUniform, k, unused0, unused1, unused2);
         assert_layout!("interleave", "InterleaveUniform", InterleaveUniform, n, unused0, unused1, unused2);
         assert_layout!("traced_scatter", "TracedPixel", TracedPixel, radiance, pixel);

@@ -34,6 +34,11 @@ pub(crate) struct GridPass {
 /// Bindings that read the second and the first of the two targets.
 pub(crate) struct GridGroups([wgpu::BindGroup; 2]);
 
+/// The target that chunk `i` of so many is added into: the last one's is the first.
+fn target_of(i: u32, chunks: u32) -> usize {
+    ((chunks - 1 - i) % 2) as usize
+}
+
 impl GridPass {
     pub fn new(gpu: &Gpu, frame: &wgpu::BindGroupLayout) -> Result<Self, RenderError> {
         use Slot::{Texture, TextureArray, Uniform, WriteArray};
@@ -65,10 +70,17 @@ impl GridPass {
 
     /// Pixels from place to place in the next frame; 1: there is no grid. True where the textures were replaced, so that what
     /// binds them must do so again.
-    pub fn set(&mut self, gpu: &Gpu, picture: &PictureTargets, spacing: u32) -> Result<bool, RenderError> {
+    /// * `adds`: the light of the VPLs is added to that of [`Self::begin_with`]
+    pub fn set(
+        &mut self,
+        gpu: &Gpu,
+        picture: &PictureTargets,
+        spacing: u32,
+        adds: bool,
+    ) -> Result<bool, RenderError> {
         self.loaded = false;
         let size = if spacing > 1 { grid_size([picture.width, picture.height], spacing) } else { [1, 1] };
-        let shape = GridUniform { size, spacing, unused: 0 };
+        let shape = GridUniform { size, spacing, adds: u32::from(adds) };
         if self.shape != Some(shape) {
             gpu.upload(&self.uniform, 0, bytemuck::bytes_of(&shape));
             self.shape = Some(shape);
@@ -86,20 +98,38 @@ impl GridPass {
     /// # Errors
     /// [`RenderError::Settings`] where there is not a point a place.
     pub fn load(&mut self, gpu: &Gpu, points: &[GridPoint]) -> Result<(), RenderError> {
+        self.write(gpu, 0, LAYERS, points)?;
+        self.loaded = true;
+        Ok(())
+    }
+
+    /// Takes light from the CPU, row by row, that the pass over the places adds to. After [`Self::set`].
+    /// * `chunks`: that the pass will be recorded with
+    ///
+    /// # Errors
+    /// [`RenderError::Settings`] where there is not a point a place.
+    pub fn begin_with(&mut self, gpu: &Gpu, points: &[GridPoint], chunks: u32) -> Result<(), RenderError> {
+        // What the first chunk reads.
+        let from = 1 - target_of(0, chunks.max(1));
+        self.write(gpu, from, LAYERS - 1, points)
+    }
+
+    /// Fills in the first so many layers of a target.
+    fn write(&self, gpu: &Gpu, target: usize, layers: u32, points: &[GridPoint]) -> Result<(), RenderError> {
         let Some(shape) = self.shape else { return Ok(()) };
         let (given, places) = (points.len(), (shape.size[0] * shape.size[1]) as usize);
         if given != places {
             return Err(RenderError::Settings(format!("the grid of light has {given} of {places} points")));
         }
-        for layer in 0..LAYERS {
+        for layer in 0..layers {
             let word = |p: &GridPoint| match p.arriving.get(layer as usize) {
                 Some(arriving) => arriving.extend(p.normal[layer as usize]),
                 None => p.position_world.extend(0.0),
             };
             let words: Vec<[f32; 4]> = points.iter().map(|p| word(p).to_array()).collect();
-            write_part(gpu, &self.targets[0].texture, [0, layer], shape.size, bytemuck::cast_slice(&words), 16);
+            let texture = &self.targets[target].texture;
+            write_part(gpu, texture, [0, layer], shape.size, bytemuck::cast_slice(&words), 16);
         }
-        self.loaded = true;
         Ok(())
     }
 
@@ -141,8 +171,7 @@ impl GridPass {
     ) {
         let Some(shape) = self.shape.filter(|_| !self.loaded) else { return };
         for i in 0..chunks {
-            // The last chunk ends in the first target.
-            let into = ((chunks - 1 - i) % 2) as usize;
+            let into = target_of(i, chunks);
             let mut pass = encoder
                 .begin_compute_pass(&wgpu::ComputePassDescriptor { label: Some("light_grid"), timestamp_writes: None });
             pass.set_pipeline(&self.pipeline);

@@ -62,6 +62,8 @@ pub(crate) use tracer::{PhotonInputs, TracedCounts};
 pub enum Indirect<'a> {
     /// The VPLs: on the grid where the settings want one, else at each pixel.
     Vpls,
+    /// The VPLs on the grid, and what the CPU found close to its places, row by row.
+    VplsAnd(&'a [GridPoint]),
     /// The VPLs, with the grid's points made by the CPU, row by row ([`grid::grid_size`]).
     Grid(&'a [GridPoint]),
     /// A ready layer of linear radiance, one a pixel.
@@ -611,8 +613,10 @@ impl GpuRaster {
         let ready = matches!(indirect, Indirect::Layer(_));
         match indirect {
             Indirect::Layer(layer) => self.indirect.upload_layer(gpu, &self.picture, layer)?,
-            Indirect::Vpls | Indirect::Grid(_) => {
-                let remade = self.light_grid.set(gpu, &self.picture, grid::spacing_of(&frame.settings))?;
+            Indirect::Vpls | Indirect::VplsAnd(_) | Indirect::Grid(_) => {
+                let spacing = grid::spacing_of(&frame.settings);
+                let adds = matches!(indirect, Indirect::VplsAnd(_));
+                let remade = self.light_grid.set(gpu, &self.picture, spacing, adds)?;
                 let interleave = frame.settings.vpl.map_or(1, |v| v.interleave);
                 let made = self.tracer.as_ref().filter(|_| vpls.is_empty()).and_then(GpuTracer::made_vpls);
                 let (count, replaced) = match made {
@@ -626,8 +630,10 @@ impl GpuRaster {
                 if chunks.of_subsets() {
                     self.prepare_interleave(interleave);
                 }
-                if let (Indirect::Grid(points), true) = (indirect, self.light_grid.is_on()) {
-                    self.light_grid.load(&self.gpu, points)?;
+                match indirect {
+                    Indirect::Grid(points) if self.light_grid.is_on() => self.light_grid.load(&self.gpu, points)?,
+                    Indirect::VplsAnd(points) => self.light_grid.begin_with(&self.gpu, points, chunks.all)?,
+                    _ => {}
                 }
             }
         }

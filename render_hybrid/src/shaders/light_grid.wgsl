@@ -1,4 +1,5 @@
-// Light of up to VPL_CHUNK virtual point lights at the places of the grid, added to that of earlier chunks.
+// Light of up to VPL_CHUNK virtual point lights at the places of the grid, added to that of earlier chunks, or to what the CPU
+// has found close to the places.
 // Twin: twin/grid.rs, fill_rows, and trace/points.rs, accumulate_directional.
 #import shared/scene
 #import shared/look
@@ -60,7 +61,7 @@ fn light_grid(@builtin(global_invocation_id) id: vec3u) {
             blue += flux.z * arriving;
         }
     }
-    if pass_uniform.first != 0u {
+    if pass_uniform.first != 0u || shape.adds != 0u {
         red += textureLoad(previous, id.xy, 0u, 0).xyz;
         green += textureLoad(previous, id.xy, 1u, 0).xyz;
         blue += textureLoad(previous, id.xy, 2u, 0).xyz;

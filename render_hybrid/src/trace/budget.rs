@@ -20,7 +20,7 @@ use super::{
 use crate::{
     accel::Ray,
     output::RayCounts,
-    settings::{RenderSettings, VplOptions, VplPlacement, VplShadows},
+    settings::{NearField, RenderSettings, VplOptions, VplPlacement, VplShadows},
 };
 
 /// Pixels that one task traces. It never shows.
@@ -43,7 +43,7 @@ pub fn within_budget(settings: &RenderSettings) -> RenderSettings {
     let fewer = |budget, vpl: VplOptions| VplOptions {
         count: vpls_within(budget, &vpl),
         placement: VplPlacement::Paths,
-        near_field: false,
+        near_field: NearField::Off,
         ..vpl
     };
     let vpl = settings.ray_budget.map_or(settings.vpl, |budget| settings.vpl.map(|v| fewer(budget, v)));

@@ -6,35 +6,39 @@
 //! * Occluders: a texel of a VPL's map (of 32 texels) covers a twelfth of the distance to the place. What a ray from the place meets within
 //!   [`NEAR`] of that distance blocks the VPLs in the ray's cell, unless it lies on the VPL's own plane.
 //!
+//! [`NearField::Light`] is the first alone, by fewer and shorter rays.
+//!
 //! Cells are those of a hemispherical octahedral map around the shading normal, turned by a hashed angle from place to place.
 //!
 //! Sources: Kollig & Keller, "Illumination in the Presence of Weak Singularities", MCQMC 2004 (the light that a bound cuts
 //! off, by rays); Cigolle et al., "A Survey of Efficient Representations for Independent Unit Vectors", JCGT 2014 (the map).
 
 use catoptra_engine::{RenderScene, math};
-use glam::Vec3;
+use glam::{Vec2, Vec3};
 use std::f32::consts::{PI, TAU};
 
 use super::{
     photons::Photons,
     points::{LANES, Lane, PointBatch, accumulate_shadowed_vpls},
     sampling,
-    shade::{FrameContext, light_visibility, reflected_from_light},
+    shade::{FrameContext, light_visibility, reflected_from_light, shadow_ray},
     surface::{NormalMatrices, RayStart, Surface, surface_at},
 };
 use crate::{
     accel::{Accel, Hit, Ray},
     output::RayCounts,
-    settings::{RenderSettings, VplOptions},
-    twin::{gbuffer::point_of, grid::has_near_field, vpl::Vpl, vpl_maps::VplMaps},
+    settings::{NearField, RenderSettings, Shadows, VplOptions},
+    twin::{gbuffer::point_of, grid::near_field_of, vpl::Vpl, vpl_maps::VplMaps},
 };
 
-/// Cells a side of a place's map.
+/// Cells a side of a place's map where occluders are looked for.
 const SIDE: usize = 8;
-/// Rays of a place.
-pub(crate) const CELLS: usize = SIDE * SIDE;
-/// VPLs that light what those rays meet.
-const LIGHTS: u32 = 256;
+/// Rays of a place, at most.
+const CELLS: usize = SIDE * SIDE;
+/// Cells a side, and VPLs that light what the rays meet.
+fn extent(near_field: NearField) -> (usize, u32) {
+    if near_field == NearField::Full { (SIDE, 256) } else { (4, 64) }
+}
 /// Share of a VPL's distance within which a ray of the place knows better what stands between than the VPL's map.
 /// Higher: more of what the maps leave out, but twice the darkness where both see the same occluder's edge.
 const NEAR: f32 = 0.08;
@@ -93,13 +97,14 @@ impl NearLights {
         accel: &Accel,
         settings: &RenderSettings,
     ) -> [u64; 2] {
-        let Some(vpl) = settings.vpl.filter(|v| has_near_field(settings) && v.bounces > 1) else {
+        let near_field = near_field_of(settings);
+        let Some(vpl) = settings.vpl.filter(|v| near_field != NearField::Off && v.bounces > 1) else {
             self.photons.forget();
             self.photons.vpls.clear();
             self.maps.clear();
             return [0; 2];
         };
-        let few = VplOptions { count: vpl.count.min(LIGHTS), candidates: 1, bounces: vpl.bounces - 1, ..vpl };
+        let few = VplOptions { count: vpl.count.min(extent(near_field).1), candidates: 1, bounces: vpl.bounces - 1, ..vpl };
         self.photons.trace(scene, normals, accel, &few, settings.seed);
         let rays = self.maps.render(&self.photons.vpls, vpl.map_size, scene, accel, settings.glass_shadows);
         [self.photons.rays, rays]
@@ -114,16 +119,62 @@ pub(crate) struct NearScratch {
     /// Place and cell of each ray.
     cells: Vec<(u32, u32)>,
     points: PointBatch,
+    asked: Asked,
     /// Place, what a unit of radiance gives there as a vector, and radiance that the lights cause, of each point.
     gathered: Vec<(u32, Vec3, Vec3)>,
     pub runs: Vec<NearRun>,
     pub counts: RayCounts,
 }
 
+/// Rays to the middle of lights. Shadow maps, which a GPU may hold, are not asked.
+#[derive(Clone, Debug, Default)]
+struct Asked {
+    rays: Vec<Ray>,
+    /// Number of a surface, and the radiance that it has where the ray meets nothing.
+    lit: Vec<(u32, Vec3)>,
+    occluded: Vec<bool>,
+}
+
+impl Asked {
+    /// Notes what each light would give surface `number`.
+    fn ask(&mut self, ctx: &FrameContext, number: u32, s: &Surface, wo: Vec3) {
+        for light in 0..ctx.scene.lights.len() as u32 {
+            let unshadowed = reflected_from_light(ctx.scene, light, s, wo);
+            if unshadowed == Vec3::ZERO {
+                continue;
+            }
+            if let Some(ray) = shadow_ray(ctx.scene, light, &s.ray_start(), Vec2::ZERO) {
+                self.rays.push(ray);
+                self.lit.push((number, unshadowed));
+            }
+        }
+    }
+
+    /// Calls `add` for the light that arrives. Returns the number of rays.
+    fn answer(&mut self, ctx: &FrameContext, mut add: impl FnMut(u32, Vec3)) -> u64 {
+        let shadows = ctx.settings.shadows != Shadows::Off;
+        self.occluded.clear();
+        self.occluded.resize(self.rays.len(), false);
+        if shadows {
+            ctx.accel.occluded_many(&self.rays, &mut self.occluded);
+        }
+        for (&(number, radiance), occluded) in self.lit.iter().zip(&self.occluded) {
+            if !occluded {
+                add(number, radiance);
+            }
+        }
+        let count = self.rays.len() as u64;
+        self.rays.clear();
+        self.lit.clear();
+        if shadows { count } else { 0 }
+    }
+}
+
 /// Unit direction of a cell, z along the normal, and what unit radiance from all of it gives: ∫ cos dω, unnormalised.
-fn cell_direction(cell: usize) -> (Vec3, f32) {
-    let at = |i: usize| (i as f32 + 0.5) * (2.0 / SIDE as f32) - 1.0;
-    let (u, v) = (at(cell % SIDE), at(cell / SIDE));
+/// * `side`: cells a side
+fn cell_direction(cell: usize, side: usize) -> (Vec3, f32) {
+    let at = |i: usize| (i as f32 + 0.5) * (2.0 / side as f32) - 1.0;
+    let (u, v) = (at(cell % side), at(cell / side));
     let (x, y) = (0.5 * (u + v), 0.5 * (u - v));
     let p = Vec3::new(x, y, 1.0 - x.abs() - y.abs());
     let l2 = p.dot(p);
@@ -144,16 +195,31 @@ fn cell_of(x: f32, y: f32, z: f32) -> usize {
 impl NearScratch {
     /// Sends the rays of all places and adds to `arriving` (per place and channel the vector sum of what arrives, W/m²) the light
     /// that the bound cuts off.
-    pub fn look(&mut self, ctx: &FrameContext, places: &[NearPlace], arriving: &mut [[Vec3; 3]]) {
+    pub fn look(
+        &mut self,
+        ctx: &FrameContext,
+        near_field: NearField,
+        places: &[NearPlace],
+        arriving: &mut [[Vec3; 3]],
+    ) {
         self.counts = RayCounts::default();
-        let directions: [(Vec3, f32); CELLS] = std::array::from_fn(cell_direction);
+        let full = near_field == NearField::Full;
+        let side = extent(near_field).0;
+        let mut all = [(Vec3::Z, 0.0); CELLS];
+        let directions = &mut all[..side * side];
+        for (cell, direction) in directions.iter_mut().enumerate() {
+            *direction = cell_direction(cell, side);
+        }
+        let directions = &*directions;
         let unit = PI / directions.iter().map(|d| d.1).sum::<f32>();
         self.rays.clear();
         self.cells.clear();
         self.runs.resize_with(places.len().div_ceil(LANES), NearRun::default);
         for (i, place) in places.iter().enumerate() {
             let (run, lane) = (&mut self.runs[i / LANES], i % LANES);
-            run.offsets.iter_mut().for_each(|o| o[lane] = FAR);
+            if full {
+                run.offsets.iter_mut().for_each(|o| o[lane] = FAR);
+            }
             if place.normal == Vec3::ZERO {
                 continue;
             }
@@ -168,7 +234,10 @@ impl NearScratch {
                 let d = t * d.x + b * d.y + place.normal * d.z;
                 if place.start.n_geometric.dot(d) > 0.0 {
                     let origin = place.start.offset_origin(d);
-                    self.rays.push(Ray { origin, direction: d, t_min: 0.0, t_max: f32::INFINITY });
+                    // Beyond, not even a surface that faces the place is cut off.
+                    let reach = (place.normal.dot(d).max(0.0) / ctx.geometry_term_max).sqrt();
+                    let t_max = if full { f32::INFINITY } else { reach };
+                    self.rays.push(Ray { origin, direction: d, t_min: 0.0, t_max });
                     self.cells.push((i as u32, cell as u32));
                 }
             }
@@ -183,8 +252,10 @@ impl NearScratch {
             if !hit.is_hit() {
                 continue;
             }
-            let (run, lane) = (&mut self.runs[place as usize / LANES], place as usize % LANES);
-            run.offsets[cell as usize][lane] = (ray.direction * hit.t).to_array();
+            if full {
+                let (run, lane) = (&mut self.runs[place as usize / LANES], place as usize % LANES);
+                run.offsets[cell as usize][lane] = (ray.direction * hit.t).to_array();
+            }
             // Even two surfaces that face each other are beyond the bound's reach.
             if !(hit.t * hit.t * ctx.geometry_term_max < 1.0) {
                 continue;
@@ -195,11 +266,22 @@ impl NearScratch {
             if g > ctx.geometry_term_max {
                 let solid_angle = directions[cell as usize].1 * unit / cos_x.max(1e-6);
                 let share = ray.direction * (solid_angle * (1.0 - ctx.geometry_term_max / g));
-                let direct = reflected(ctx, &s, -ray.direction, places[place as usize].number, &mut self.counts);
+                let (wo, number) = (-ray.direction, self.gathered.len() as u32);
+                let mut direct = Vec3::ZERO;
+                if let Some(lambert) = lambert(ctx, &s) {
+                    direct = s.emission;
+                    if full {
+                        direct += reflected(ctx, &lambert, wo, places[place as usize].number, &mut self.counts);
+                    } else {
+                        self.asked.ask(ctx, number, &lambert, wo);
+                    }
+                }
                 self.points.push(&point_of(ctx, &s), &s.ray_start());
                 self.gathered.push((place, share, direct));
             }
         }
+        let gathered = &mut self.gathered;
+        self.counts.shadow += self.asked.answer(ctx, |number, radiance| gathered[number as usize].2 += radiance);
         self.points.pad();
         let maps = &ctx.near_lights.maps;
         if self.gathered.is_empty() || maps.size == 0 {
@@ -217,19 +299,19 @@ impl NearScratch {
     }
 }
 
-/// Radiance towards `wo` by the lights and the surface itself, Lambertian as that of VPLs.
-fn reflected(ctx: &FrameContext, s: &Surface, wo: Vec3, pixel: u32, counts: &mut RayCounts) -> Vec3 {
-    let m = &ctx.scene.materials[s.material as usize];
-    if m.unlit {
-        return Vec3::ZERO;
-    }
+/// The surface as VPLs see it; `None` where it neither reflects nor counts as a light.
+fn lambert(ctx: &FrameContext, s: &Surface) -> Option<Surface> {
     let look = catoptra_engine::Look { specular: Vec3::ZERO, ..s.look };
-    let lambert = Surface { look, ..*s };
-    let mut sum = s.emission;
+    (!ctx.scene.materials[s.material as usize].unlit).then_some(Surface { look, ..*s })
+}
+
+/// Radiance towards `wo` by the lights.
+fn reflected(ctx: &FrameContext, lambert: &Surface, wo: Vec3, pixel: u32, counts: &mut RayCounts) -> Vec3 {
+    let mut sum = Vec3::ZERO;
     for light in 0..ctx.scene.lights.len() as u32 {
-        let unshadowed = reflected_from_light(ctx.scene, light, &lambert, wo);
+        let unshadowed = reflected_from_light(ctx.scene, light, lambert, wo);
         if unshadowed != Vec3::ZERO {
-            sum += unshadowed * light_visibility(ctx, light, &s.ray_start(), pixel, counts);
+            sum += unshadowed * light_visibility(ctx, light, &lambert.ray_start(), pixel, counts);
         }
     }
     sum
@@ -267,7 +349,7 @@ mod tests {
 
     #[test]
     fn cells_find_their_own_directions_and_weigh_as_cosines() {
-        let all: Vec<(Vec3, f32)> = (0..CELLS).map(cell_direction).collect();
+        let all: Vec<(Vec3, f32)> = (0..CELLS).map(|cell| cell_direction(cell, SIDE)).collect();
         for (cell, (d, _)) in all.iter().enumerate() {
             assert!((d.length() - 1.0).abs() < 1e-6 && d.z > 0.0);
             assert_eq!(cell_of(d.x * 7.0, d.y * 7.0, d.z * 7.0), cell);

@@ -20,7 +20,7 @@ use super::gbuffer::point_of;
 use crate::{
     accel::{Hit, Ray},
     output::RayCounts,
-    settings::{RenderSettings, SimdLevel, VplOptions, VplShadows},
+    settings::{NearField, RenderSettings, SimdLevel, VplOptions, VplShadows},
     simd::dispatch,
     trace::{
         camera_rays::camera_ray,
@@ -72,6 +72,15 @@ struct RowsScratch {
     near: NearScratch,
 }
 
+/// What the grid's points are to hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Part {
+    /// Light of the VPLs, and what their bound cuts off where that is wanted.
+    All,
+    /// What their bound cuts off.
+    Close,
+}
+
 /// The grid of a frame.
 #[derive(Debug, Default)]
 pub struct IrradianceGrid {
@@ -85,6 +94,15 @@ pub struct IrradianceGrid {
 impl IrradianceGrid {
     /// Evaluates all VPLs at the grid's points; no grid where the settings want none. Returns the numbers of rays.
     pub fn build(&mut self, ctx: &FrameContext) -> RayCounts {
+        self.build_part(ctx, Part::All)
+    }
+
+    /// [`Self::build`] with nothing but the light that the VPLs' bound cuts off, for a GPU that adds the VPLs'.
+    pub fn build_close(&mut self, ctx: &FrameContext) -> RayCounts {
+        self.build_part(ctx, Part::Close)
+    }
+
+    fn build_part(&mut self, ctx: &FrameContext, part: Part) -> RayCounts {
         let spacing = spacing_of(ctx.settings);
         self.spacing = 0;
         if spacing <= 1 || ctx.vpls.is_empty() {
@@ -110,7 +128,7 @@ impl IrradianceGrid {
         let counts = rows_of.map(|(i, points)| {
             let own = rayon::current_thread_index().unwrap_or(0) % scratch.len();
             let mut s = scratch[own].lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-            fill_rows(ctx, spacing, [columns, i * ROWS], points, &mut s);
+            fill_rows(ctx, part, spacing, [columns, i * ROWS], points, &mut s);
             s.near.counts
         });
         let counts = counts.reduce(RayCounts::default, RayCounts::merged);
@@ -254,9 +272,9 @@ pub fn spacing_of(settings: &RenderSettings) -> u32 {
     wanted.min(1 << most.ilog2())
 }
 
-/// True where rays around the grid's places are sent: the settings want them, and there is a grid.
-pub fn has_near_field(settings: &RenderSettings) -> bool {
-    settings.vpl.is_some_and(|v| v.near_field) && spacing_of(settings) > 1
+/// What rays from the grid's places bring: what the settings want, where there is a grid.
+pub fn near_field_of(settings: &RenderSettings) -> NearField {
+    settings.vpl.filter(|_| spacing_of(settings) > 1).map_or(NearField::Off, |v| v.near_field)
 }
 
 /// Columns and rows of the grid of a picture: one more than its runs of sixteen pixels cover, so that every pixel lies between
@@ -266,7 +284,14 @@ pub fn grid_size([width, height]: [u32; 2], spacing: u32) -> [u32; 2] {
 }
 
 /// * `first`: columns of the grid, and the first of the rows
-fn fill_rows(ctx: &FrameContext, spacing: u32, first: [usize; 2], points: &mut [GridPoint], s: &mut RowsScratch) {
+fn fill_rows(
+    ctx: &FrameContext,
+    part: Part,
+    spacing: u32,
+    first: [usize; 2],
+    points: &mut [GridPoint],
+    s: &mut RowsScratch,
+) {
     let (width, height) = (ctx.settings.width, ctx.settings.height);
     let camera = &ctx.scene.camera;
     let [columns, first_row] = first;
@@ -299,14 +324,16 @@ fn fill_rows(ctx: &FrameContext, spacing: u32, first: [usize; 2], points: &mut [
     s.close.clear();
     s.close.resize(points.len(), [Vec3::ZERO; 3]);
     s.near.counts = RayCounts::default();
-    let near_field = has_near_field(ctx.settings);
-    if near_field {
-        s.near.look(ctx, &s.places, &mut s.close);
+    let near_field = near_field_of(ctx.settings);
+    if near_field != NearField::Off {
+        s.near.look(ctx, near_field, &s.places, &mut s.close);
     }
-    let near = if near_field { s.near.runs.as_slice() } else { &[] };
-    let (size, maps) = (ctx.vpl_maps.size, &ctx.vpl_maps.texels);
-    let bound = ctx.geometry_term_max;
-    accumulate_directional(ctx.level, &s.points, ctx.vpls, size, maps, bound, near, &mut s.arriving);
+    if part == Part::All {
+        let near = if near_field == NearField::Full { s.near.runs.as_slice() } else { &[] };
+        let (size, maps) = (ctx.vpl_maps.size, &ctx.vpl_maps.texels);
+        let bound = ctx.geometry_term_max;
+        accumulate_directional(ctx.level, &s.points, ctx.vpls, size, maps, bound, near, &mut s.arriving);
+    }
     for (i, point) in points.iter_mut().enumerate() {
         let of = |k: usize| s.arriving[i / LANES][k][i % LANES];
         let far = [0, 3, 6].map(|k| Vec3::new(of(k), of(k + 1), of(k + 2)));

@@ -5,7 +5,8 @@ struct GridUniform {
     size: vec2u,
     // Pixels from one place to the next; 1: there is no grid.
     spacing: u32,
-    unused: u32,
+    // 1: the first chunk of VPLs adds to what the CPU left.
+    adds: u32,
 }
 
 // Layers of the grid's texture: what arrives of red, green and blue as vectors, W/m², each with a coordinate of the place's
