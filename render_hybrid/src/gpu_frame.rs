@@ -17,8 +17,8 @@ use std::time::Instant;
 use crate::{
     error::RenderError,
     frame::{
-        close_light, context, geometry_term_max, light_grid, merge_non_finite, milliseconds, moments, shadow_plan, structures,
-        virtual_lights,
+        close_light, context, geometry_term_max, light_grid, merge_non_finite, milliseconds, moments, shadow_plan,
+        structures, virtual_lights,
     },
     output::{Frame, FrameStats, Image, Layer, RayCounts, StageInterval, StageTimes},
     raster::{GpuRaster, Indirect, PhotonInputs, RasterInputs, TracedCounts},
@@ -407,7 +407,11 @@ fn traces_on_gpu(
 /// mirrors are lit by the same ones; VPLs that are kept from frame to frame are the CPU's.
 fn photons_on_gpu(gpu: &GpuRaster, settings: &RenderSettings) -> bool {
     let alone = settings.vpl.is_some_and(|v| {
-        v.shadows == VplShadows::Off && v.mirrored == 0 && v.candidates == 1 && v.near_field == NearField::Off && v.reuse == 0
+        v.shadows == VplShadows::Off
+            && v.mirrored == 0
+            && v.candidates == 1
+            && v.near_field == NearField::Off
+            && v.reuse == 0
     });
     settings.traced && gpu.has_photons() && alone
 }

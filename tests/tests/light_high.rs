@@ -2,8 +2,8 @@
 
 use catoptra_engine::{Camera, LightKind, Material, RenderScene, shapes};
 use catoptra_render_hybrid::{
-    BlasKind, Image, Layer, Preset, RasterLane, NearField, RenderSettings, Renderer, RendererOptions, Shadows, SimdLevel,
-    VplOptions, VplPlacement, metrics,
+    BlasKind, Image, Layer, NearField, Preset, RasterLane, RenderSettings, Renderer, RendererOptions, Shadows,
+    SimdLevel, VplOptions, VplPlacement, metrics,
     raster::GpuRaster,
     trace::reference::{ReferenceAccumulator, ReferenceOptions},
 };

@@ -71,13 +71,7 @@ impl GridPass {
     /// Pixels from place to place in the next frame; 1: there is no grid. True where the textures were replaced, so that what
     /// binds them must do so again.
     /// * `adds`: the light of the VPLs is added to that of [`Self::begin_with`]
-    pub fn set(
-        &mut self,
-        gpu: &Gpu,
-        picture: &PictureTargets,
-        spacing: u32,
-        adds: bool,
-    ) -> Result<bool, RenderError> {
+    pub fn set(&mut self, gpu: &Gpu, picture: &PictureTargets, spacing: u32, adds: bool) -> Result<bool, RenderError> {
         self.loaded = false;
         let size = if spacing > 1 { grid_size([picture.width, picture.height], spacing) } else { [1, 1] };
         let shape = GridUniform { size, spacing, adds: u32::from(adds) };

@@ -4,7 +4,8 @@
 use rayon::prelude::*;
 
 use super::{
-    shade::{self, FrameContext},
+    shade::FrameContext,
+    visibility::{Askers, Towards},
     whitted::MaskedPixel,
 };
 use crate::{
@@ -70,6 +71,7 @@ pub fn trace_light(ctx: &FrameContext, lights: bool, vpls: bool, counts: &mut Ra
             let mut guides = vec![Guide::default(); if interleaved { n } else { 0 }];
             let mut counts = RayCounts::default();
             let mut scratch = TileScratch::default();
+            let (mut askers, mut asked) = (Askers::default(), Vec::new());
             scan.list.of_rows(y, y + rows - 1, &mut scratch.band);
             for x in (0..width).step_by(tile as usize) {
                 let rect = TileRect { x, y, width: tile.min(width - x), height: rows };
@@ -80,22 +82,27 @@ pub fn trace_light(ctx: &FrameContext, lights: bool, vpls: bool, counts: &mut Ra
                     fill_indirect(ctx, &mut scratch, &mut counts);
                 }
                 let g = &scratch.gbuffer;
+                askers.clear();
+                asked.clear();
                 for py in y..y + rows {
                     for px in x..x + rect.width {
                         let (i, at) = (g.index(px, py), ((py - y) * width + px) as usize);
                         if g.instance(ctx, &scan, i).is_none() {
                             continue;
                         }
-                        for (light, plane) in visibility.iter_mut().enumerate() {
-                            let pixel = py * width + px;
-                            let start = g.points.ray_start(i);
-                            plane[at] = shade::light_visibility(ctx, light as u32, &start, pixel, &mut counts);
-                        }
+                        askers.push(g.points.ray_start(i), py * width + px);
+                        asked.push(at);
                         if interleaved {
                             guides[at] = scratch.guides[i];
                         } else if vpls {
                             indirect[at] = (g.points.albedo(i) * g.points.irradiance(i)).to_array();
                         }
+                    }
+                }
+                for (light, plane) in visibility.iter_mut().enumerate() {
+                    askers.look(ctx, light as u32, Towards::Disc, &mut counts);
+                    for (&at, &seen) in asked.iter().zip(&askers.seen) {
+                        plane[at] = seen;
                     }
                 }
             }

@@ -8,7 +8,8 @@ use glam::Vec3;
 use super::{
     filtered::add_filtered,
     points::{LANES, Lane, PointBatch, lanes, store},
-    shade::{FrameContext, light_visibility},
+    shade::FrameContext,
+    visibility::Towards,
 };
 use crate::{accel::Ray, output::RayCounts, settings::Shadows, simd::dispatch, twin::shading::blinn_phong_lobe};
 
@@ -28,13 +29,21 @@ pub fn direct_light(ctx: &FrameContext, points: &mut PointBatch, pixel: impl Fn(
                 add_by_rays(ctx, points, index, rays);
             }
             Shadows::Traced | Shadows::Certified => {
+                let mut askers = std::mem::take(&mut points.askers);
+                askers.clear();
+                let lit = |points: &PointBatch, i: &usize| unshadowed_at(points, *i) != Vec3::ZERO;
+                for i in (0..points.len()).filter(|i| lit(points, i)) {
+                    askers.push(points.ray_start(i), pixel(i));
+                }
+                askers.look(ctx, index, Towards::Disc, rays);
+                let mut seen = askers.seen.iter();
                 for i in 0..points.len() {
-                    let unshadowed = unshadowed_at(points, i);
-                    if unshadowed != Vec3::ZERO {
-                        let seen = unshadowed * light_visibility(ctx, index, &points.ray_start(i), pixel(i), rays);
-                        add_at(points, i, seen);
+                    if lit(points, &i) {
+                        let share = seen.next().copied().unwrap_or(0.0);
+                        add_at(points, i, unshadowed_at(points, i) * share);
                     }
                 }
+                points.askers = askers;
             }
         }
     }

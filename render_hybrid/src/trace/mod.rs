@@ -20,4 +20,5 @@ pub mod sampling;
 pub mod shade;
 pub mod surface;
 pub mod surfels;
+pub(crate) mod visibility;
 pub mod whitted;

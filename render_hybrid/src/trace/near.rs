@@ -14,20 +14,21 @@
 //! off, by rays); Cigolle et al., "A Survey of Efficient Representations for Independent Unit Vectors", JCGT 2014 (the map).
 
 use catoptra_engine::{RenderScene, math};
-use glam::{Vec2, Vec3};
+use glam::Vec3;
 use std::f32::consts::{PI, TAU};
 
 use super::{
     photons::Photons,
-    points::{LANES, Lane, PointBatch, accumulate_shadowed_vpls},
+    points::{LANES, Lane, PointBatch, accumulate_shadowed_vpls, make_room},
     sampling,
-    shade::{FrameContext, light_visibility, reflected_from_light, shadow_ray},
+    shade::{FrameContext, reflected_from_light},
     surface::{NormalMatrices, RayStart, Surface, surface_at},
+    visibility::{Askers, Towards},
 };
 use crate::{
     accel::{Accel, Hit, Ray},
     output::RayCounts,
-    settings::{NearField, RenderSettings, Shadows, VplOptions},
+    settings::{NearField, RenderSettings, VplOptions},
     twin::{gbuffer::point_of, grid::near_field_of, vpl::Vpl, vpl_maps::VplMaps},
 };
 
@@ -37,7 +38,7 @@ const SIDE: usize = 8;
 const CELLS: usize = SIDE * SIDE;
 /// Cells a side, and VPLs that light what the rays meet.
 fn extent(near_field: NearField) -> (usize, u32) {
-    if near_field == NearField::Full { (SIDE, 256) } else { (4, 64) }
+    if near_field == NearField::Full { (SIDE, 256) } else { (3, 64) }
 }
 /// Share of a VPL's distance within which a ray of the place knows better what stands between than the VPL's map.
 /// Higher: more of what the maps leave out, but twice the darkness where both see the same occluder's edge.
@@ -104,7 +105,8 @@ impl NearLights {
             self.maps.clear();
             return [0; 2];
         };
-        let few = VplOptions { count: vpl.count.min(extent(near_field).1), candidates: 1, bounces: vpl.bounces - 1, ..vpl };
+        let few =
+            VplOptions { count: vpl.count.min(extent(near_field).1), candidates: 1, bounces: vpl.bounces - 1, ..vpl };
         self.photons.trace(scene, normals, accel, &few, settings.seed);
         let rays = self.maps.render(&self.photons.vpls, vpl.map_size, scene, accel, settings.glass_shadows);
         [self.photons.rays, rays]
@@ -126,47 +128,49 @@ pub(crate) struct NearScratch {
     pub counts: RayCounts,
 }
 
-/// Rays to the middle of lights. Shadow maps, which a GPU may hold, are not asked.
+/// What the lights would give the surfaces that rays met.
 #[derive(Clone, Debug, Default)]
 struct Asked {
-    rays: Vec<Ray>,
-    /// Number of a surface, and the radiance that it has where the ray meets nothing.
-    lit: Vec<(u32, Vec3)>,
-    occluded: Vec<bool>,
+    lit: Vec<Lit>,
+    askers: Askers,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Lit {
+    light: u32,
+    /// Of the surface.
+    number: u32,
+    pixel: u32,
+    start: RayStart,
+    /// Radiance, unless something stands before the light.
+    unshadowed: Vec3,
 }
 
 impl Asked {
-    /// Notes what each light would give surface `number`.
-    fn ask(&mut self, ctx: &FrameContext, number: u32, s: &Surface, wo: Vec3) {
+    /// Notes what each light would give surface `number`, seen from `wo`.
+    fn ask(&mut self, ctx: &FrameContext, [number, pixel]: [u32; 2], s: &Surface, wo: Vec3) {
+        let start = s.ray_start();
         for light in 0..ctx.scene.lights.len() as u32 {
             let unshadowed = reflected_from_light(ctx.scene, light, s, wo);
-            if unshadowed == Vec3::ZERO {
-                continue;
-            }
-            if let Some(ray) = shadow_ray(ctx.scene, light, &s.ray_start(), Vec2::ZERO) {
-                self.rays.push(ray);
-                self.lit.push((number, unshadowed));
+            if unshadowed != Vec3::ZERO {
+                self.lit.push(Lit { light, number, pixel, start, unshadowed });
             }
         }
     }
 
-    /// Calls `add` for the light that arrives. Returns the number of rays.
-    fn answer(&mut self, ctx: &FrameContext, mut add: impl FnMut(u32, Vec3)) -> u64 {
-        let shadows = ctx.settings.shadows != Shadows::Off;
-        self.occluded.clear();
-        self.occluded.resize(self.rays.len(), false);
-        if shadows {
-            ctx.accel.occluded_many(&self.rays, &mut self.occluded);
-        }
-        for (&(number, radiance), occluded) in self.lit.iter().zip(&self.occluded) {
-            if !occluded {
-                add(number, radiance);
+    /// Calls `add` with surface and radiance for all light that arrives.
+    fn answer(&mut self, ctx: &FrameContext, towards: Towards, counts: &mut RayCounts, mut add: impl FnMut(u32, Vec3)) {
+        let Self { lit, askers } = self;
+        for light in 0..ctx.scene.lights.len() as u32 {
+            askers.clear();
+            let of_light = || lit.iter().filter(|l| l.light == light);
+            of_light().for_each(|l| askers.push(l.start, l.pixel));
+            askers.look(ctx, light, towards, counts);
+            for (l, seen) in of_light().zip(&askers.seen) {
+                add(l.number, l.unshadowed * *seen);
             }
         }
-        let count = self.rays.len() as u64;
-        self.rays.clear();
-        self.lit.clear();
-        if shadows { count } else { 0 }
+        lit.clear();
     }
 }
 
@@ -193,6 +197,18 @@ fn cell_of(x: f32, y: f32, z: f32) -> usize {
 }
 
 impl NearScratch {
+    /// Makes room for so many places, whatever their rays meet.
+    pub fn reserve(&mut self, near_field: NearField, places: usize, lights: usize) {
+        let rays = if near_field == NearField::Off { 0 } else { extent(near_field).0.pow(2) * places };
+        make_room(&mut self.rays, rays);
+        make_room(&mut self.hits, rays);
+        make_room(&mut self.cells, rays);
+        make_room(&mut self.gathered, rays);
+        self.points.reserve([rays.next_multiple_of(LANES), 0]);
+        make_room(&mut self.asked.lit, rays * lights);
+        self.asked.askers.reserve(rays);
+    }
+
     /// Sends the rays of all places and adds to `arriving` (per place and channel the vector sum of what arrives, W/m²) the light
     /// that the bound cuts off.
     pub fn look(
@@ -266,22 +282,20 @@ impl NearScratch {
             if g > ctx.geometry_term_max {
                 let solid_angle = directions[cell as usize].1 * unit / cos_x.max(1e-6);
                 let share = ray.direction * (solid_angle * (1.0 - ctx.geometry_term_max / g));
-                let (wo, number) = (-ray.direction, self.gathered.len() as u32);
-                let mut direct = Vec3::ZERO;
+                let mut own = Vec3::ZERO;
                 if let Some(lambert) = lambert(ctx, &s) {
-                    direct = s.emission;
-                    if full {
-                        direct += reflected(ctx, &lambert, wo, places[place as usize].number, &mut self.counts);
-                    } else {
-                        self.asked.ask(ctx, number, &lambert, wo);
-                    }
+                    own = s.emission;
+                    let number = [self.gathered.len() as u32, places[place as usize].number];
+                    self.asked.ask(ctx, number, &lambert, -ray.direction);
                 }
                 self.points.push(&point_of(ctx, &s), &s.ray_start());
-                self.gathered.push((place, share, direct));
+                self.gathered.push((place, share, own));
             }
         }
+        // A GPU may hold the shadow maps; so few rays do without.
+        let towards = if full { Towards::Disc } else { Towards::Middle };
         let gathered = &mut self.gathered;
-        self.counts.shadow += self.asked.answer(ctx, |number, radiance| gathered[number as usize].2 += radiance);
+        self.asked.answer(ctx, towards, &mut self.counts, |i, radiance| gathered[i as usize].2 += radiance);
         self.points.pad();
         let maps = &ctx.near_lights.maps;
         if self.gathered.is_empty() || maps.size == 0 {
@@ -290,8 +304,8 @@ impl NearScratch {
             let (size, texels, bound) = (maps.size, &maps.texels, ctx.geometry_term_max);
             accumulate_shadowed_vpls(ctx.level, &mut self.points, ctx.near_lights.vpls(), size, texels, bound);
         }
-        for (i, (place, share, direct)) in self.gathered.iter().enumerate() {
-            let radiance = *direct + self.points.albedo(i) * self.points.irradiance(i);
+        for (i, (place, share, lit)) in self.gathered.iter().enumerate() {
+            let radiance = *lit + self.points.albedo(i) * self.points.irradiance(i);
             for (channel, sum) in arriving[*place as usize].iter_mut().enumerate() {
                 *sum += *share * radiance[channel];
             }
@@ -303,18 +317,6 @@ impl NearScratch {
 fn lambert(ctx: &FrameContext, s: &Surface) -> Option<Surface> {
     let look = catoptra_engine::Look { specular: Vec3::ZERO, ..s.look };
     (!ctx.scene.materials[s.material as usize].unlit).then_some(Surface { look, ..*s })
-}
-
-/// Radiance towards `wo` by the lights.
-fn reflected(ctx: &FrameContext, lambert: &Surface, wo: Vec3, pixel: u32, counts: &mut RayCounts) -> Vec3 {
-    let mut sum = Vec3::ZERO;
-    for light in 0..ctx.scene.lights.len() as u32 {
-        let unshadowed = reflected_from_light(ctx.scene, light, lambert, wo);
-        if unshadowed != Vec3::ZERO {
-            sum += unshadowed * light_visibility(ctx, light, &lambert.ray_start(), pixel, counts);
-        }
-    }
-    sum
 }
 
 /// 0 where something close to the place stands before a VPL, else 1, for sixteen places.

@@ -6,6 +6,7 @@ use super::{
     meet::SurfaceLanes,
     near::{NearRun, near_visibility},
     surface::RayStart,
+    visibility::Askers,
 };
 use crate::{
     accel::Ray,
@@ -82,6 +83,8 @@ pub struct PointBatch {
     pub glossy: Vec<Glossy>,
     /// Memory for shadow rays.
     pub(crate) shadows: ShadowRays,
+    /// Memory for what asks how much of a light it sees.
+    pub(crate) askers: Askers,
 }
 
 /// Shadow rays of a batch towards one light.

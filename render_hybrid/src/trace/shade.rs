@@ -3,12 +3,11 @@
 
 use catoptra_engine::{LightKind, RenderScene, math};
 use glam::Vec3;
-use std::f32::consts::{FRAC_1_PI, TAU};
+use std::f32::consts::FRAC_1_PI;
 
 use super::{
     near::NearLights,
     points::{Emitter, PointBatch, accumulate_shadowed_vpls, accumulate_vpls},
-    sampling,
     surface::{NormalMatrices, RayStart, Surface},
 };
 use crate::{
@@ -16,7 +15,6 @@ use crate::{
     output::RayCounts,
     settings::{RenderSettings, Shadows, SimdLevel, VplShadows},
     twin::{
-        certified::{Certainty, certify},
         grid::IrradianceGrid,
         shading::blinn_phong_lobe,
         shadow::ShadowMaps,
@@ -62,47 +60,6 @@ pub struct FrameContext<'a> {
 pub fn wants_ray_starts(ctx: &FrameContext) -> bool {
     let traced_vpls = ctx.settings.vpl.is_some_and(|v| v.shadows == VplShadows::Traced);
     traced_vpls || matches!(ctx.settings.shadows, Shadows::Traced | Shadows::Certified)
-}
-
-/// Rays of a light's disc that may speak for all where shadows are certified.
-const PROBES: u32 = 6;
-
-/// Fraction of light `light` that reaches the surface, in [0, 1].
-/// * `pixel`: number of the picture's pixel; turns the pattern on the light's disc
-pub fn light_visibility(ctx: &FrameContext, light: u32, s: &RayStart, pixel: u32, rays: &mut RayCounts) -> f32 {
-    match ctx.settings.shadows {
-        Shadows::Off => 1.0,
-        Shadows::Moments => {
-            let position = ctx.scene.lights[light as usize].position_world;
-            ctx.maps.visibility(light, position, s.position_world, &ctx.settings.moments)
-        }
-        Shadows::Traced | Shadows::Certified => {
-            if ctx.settings.shadows == Shadows::Certified {
-                match certify(ctx.maps, light, &ctx.scene.lights[light as usize], s) {
-                    Certainty::Lit => return 1.0,
-                    Certainty::Dark => return 0.0,
-                    Certainty::Unknown => {}
-                }
-            }
-            let samples = if ctx.scene.lights[light as usize].radius > 0.0 { ctx.settings.shadow_samples } else { 1 };
-            let turn = sampling::hash_combine(sampling::hash_combine(ctx.settings.seed, pixel), light);
-            let rotation = TAU * sampling::unit_f32(turn);
-            let mut sees = |i: u32| {
-                let disc = sampling::vogel_disc(i, samples, rotation);
-                let ray = shadow_ray(ctx.scene, light, s, if samples == 1 { glam::Vec2::ZERO } else { disc });
-                rays.shadow += u64::from(ray.is_some());
-                u32::from(ray.is_some_and(|ray| !ctx.accel.occluded(&ray)))
-            };
-            // Those on the rim first: where they and the middle agree, so do (nearly always) those between.
-            let probes = PROBES.min(samples);
-            let mut lit: u32 = (samples - probes + 1..samples).map(&mut sees).sum::<u32>() + sees(0);
-            if ctx.settings.shadows == Shadows::Certified && samples > probes && (lit == 0 || lit == probes) {
-                return if lit == 0 { 0.0 } else { 1.0 };
-            }
-            lit += (1..samples - probes + 1).map(sees).sum::<u32>();
-            lit as f32 / samples as f32
-        }
-    }
 }
 
 /// Ray from the surface to the point `disc` (in the unit disc) of the light's disc, which faces the surface. `None` where

@@ -123,6 +123,7 @@ impl IrradianceGrid {
             s.points.reserve([places.next_multiple_of(LANES), 0]);
             make_room(&mut s.places, places);
             make_room(&mut s.close, places);
+            s.near.reserve(near_field_of(ctx.settings), places, ctx.scene.lights.len());
         }
         let rows_of = self.points.par_chunks_mut(columns * ROWS).enumerate().with_max_len(1);
         let counts = rows_of.map(|(i, points)| {

@@ -41,7 +41,7 @@ fn moments_visibility(light: Light, point_world: vec3f) -> f32 {
     return view_visibility(moment_maps, light.first_layer, view, point_world, options);
 }
 
-// Fraction of the light's disc that rays reach. Twin: trace/shade.rs, light_visibility.
+// Fraction of the light's disc that rays reach. Twin: trace/visibility.rs.
 fn traced_visibility(light: Light, index: u32, s: SurfacePoint, wi: vec3f, pixel: u32) -> f32 {
     let disc = float3(dynamic_word(head.lights + index * LIGHT_WORDS + 4u)).x;
     let samples = select(1u, trace.shadow_samples, disc > 0.0);
