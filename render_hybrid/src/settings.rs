@@ -166,9 +166,9 @@ pub enum NearField {
     /// Nothing: corners are too dark, since the geometry term is bounded.
     #[default]
     Off,
-    /// The light that [`VplOptions::geometry_term_max`] cuts off: 16 rays, no longer than that light reaches.
+    /// The light that [`VplOptions::geometry_term_max`] cuts off: 9 rays a place, no longer than that light reaches.
     Light,
-    /// That, and occluders too close for the VPLs' maps: 64 rays, and more VPLs at what they meet. Four to six times the cost.
+    /// That, and occluders too close for the VPLs' maps: 64 rays, and more VPLs at what they meet.
     Full,
 }
 
@@ -286,8 +286,8 @@ impl Default for RenderSettings {
 pub enum Preset {
     /// 16 VPLs without shadows, depth 4: editing.
     Draft,
-    /// 400 VPLs on surfels (where these do not cover the scene: of 800 candidates) with shadow maps on a grid of the picture, 64
-    /// without in mirrors, filtered shadows, depth 8: play.
+    /// 400 VPLs on surfels (where these do not cover the scene: of 1,600 candidates) with shadow maps on a grid of the
+    /// picture and the light close to its places, 64 without in mirrors, filtered shadows, depth 8: play.
     #[default]
     Interactive,
     /// 6,144 VPLs on surfels (elsewhere: of four times as many candidates), with shadow maps and the near field, certified soft shadows, depth 16:
@@ -332,7 +332,7 @@ impl RenderSettings {
             Preset::Interactive => Self {
                 vpl: Some(VplOptions {
                     count: 400,
-                    candidates: 2,
+                    candidates: 4,
                     placement: VplPlacement::Surfels,
                     geometry_term_max: Some(30.0),
                     map_size: 16,

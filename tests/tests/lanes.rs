@@ -3,8 +3,8 @@
 use catoptra_demos::scenes;
 use catoptra_engine::{Extracted, RenderScene, app};
 use catoptra_render_hybrid::{
-    Frame, Layer, RasterLane, RenderSettings, Renderer, RendererOptions, ShadowFilter, Shadows, Tracer, VplOptions,
-    VplShadows,
+    Frame, Layer, NearField, RasterLane, RenderSettings, Renderer, RendererOptions, ShadowFilter, Shadows, Tracer,
+    VplOptions, VplShadows,
     metrics::{Comparison, compare},
     raster::GpuRaster,
 };
@@ -109,6 +109,10 @@ fn on_grid(spacing: u32, mirrored: u32) -> RenderSettings {
     RenderSettings { width: 256, height: 256, vpl: Some(vpl), ..settings() }
 }
 
+fn near(settings: RenderSettings, near_field: NearField) -> RenderSettings {
+    RenderSettings { vpl: settings.vpl.map(|v| VplOptions { near_field, ..v }), ..settings }
+}
+
 /// Most FLIP mean of the indirect layer on the grid: a tenth of what the lanes differ by where one of them has none.
 const GRID_FLIP_MEAN: f64 = 0.002;
 
@@ -120,17 +124,25 @@ fn lanes_agree_on_the_light_grid() {
     let (mut cpu, mut gpu) = (renderer(RasterLane::Cpu), renderer(RasterLane::Gpu));
     for info in &scenes::SCENES {
         let scene = scene(info.name, 30);
-        for mirrored in [64, 0] {
-            let a = cpu.render(&scene, &on_grid(4, mirrored)).unwrap();
-            let b = gpu.render(&scene, &on_grid(4, mirrored)).unwrap();
+        for (mirrored, near_field) in [(64, NearField::Off), (0, NearField::Off), (64, NearField::Light)] {
+            let settings = near(on_grid(4, mirrored), near_field);
+            let a = cpu.render(&scene, &settings).unwrap();
+            let b = gpu.render(&scene, &settings).unwrap();
             assert_eq!((a.stats.raster, b.stats.raster), (RasterLane::Cpu, RasterLane::Gpu));
             for (layer, most) in [(Layer::Indirect, GRID_FLIP_MEAN), (Layer::Final, FLIP_MEAN)] {
                 let c = layer_difference(&b, &a, layer);
                 let (mean, p99) = (c.flip.mean(), c.flip.percentile(0.99));
-                println!("{}, {mirrored} in mirrors, {layer:?}: FLIP mean {mean:.5}, p99 {p99:.4}", info.name);
+                let name = info.name;
+                println!("{name}, {mirrored} in mirrors, {near_field:?}, {layer:?}: FLIP mean {mean:.5}, p99 {p99:.4}");
                 assert!(mean <= most && agrees(&c), "{}, {layer:?}: FLIP mean {mean}, p99 {p99}", info.name);
             }
-            if mirrored > 0 {
+            if near_field == NearField::Light {
+                // What must fail: one lane without the light close by.
+                let without = gpu.render(&scene, &on_grid(4, mirrored)).unwrap();
+                let mean = layer_difference(&without, &a, Layer::Indirect).flip.mean();
+                println!("{}, the GPU lane without a near field: FLIP mean {mean:.5}", info.name);
+                assert!(mean > GRID_FLIP_MEAN, "{}: a missing near field passes with {mean}", info.name);
+            } else if mirrored > 0 {
                 // What must fail: one lane without the grid, or without the set for pixels that it cannot tell about.
                 let every = gpu.render(&scene, &on_grid(1, mirrored)).unwrap();
                 let mean = layer_difference(&every, &a, Layer::Indirect).flip.mean();
@@ -160,6 +172,14 @@ fn a_grid_of_several_chunks_on_a_ragged_picture() {
         let mean = c.flip.mean();
         println!("{shadows:?}, {mirrored} in mirrors: FLIP mean {mean:.5}");
         assert!(mean <= GRID_FLIP_MEAN, "{shadows:?}, {mirrored}: {mean}");
+        // So they do with what the CPU adds to three chunks.
+        let close = near(settings, NearField::Light);
+        let (lit, c) = (cpu.render(&scene, &close).unwrap(), gpu.render(&scene, &close).unwrap());
+        let (mean, without) =
+            (layer_difference(&c, &lit, Layer::Indirect), layer_difference(&b, &lit, Layer::Indirect));
+        let (mean, without) = (mean.flip.mean(), without.flip.mean());
+        println!("{shadows:?}, {mirrored} in mirrors, near field: FLIP mean {mean:.5}, without {without:.5}");
+        assert!(mean <= GRID_FLIP_MEAN && mean < 0.5 * without, "{shadows:?}, {mirrored}: {mean}, {without}");
         // The same frame without the grid is another.
         let every = RenderSettings { vpl: Some(VplOptions { spacing: 1, ..vpl }), ..settings };
         assert_ne!(gpu.render(&scene, &every).unwrap().layer(Layer::Indirect), b.layer(Layer::Indirect));

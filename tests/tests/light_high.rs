@@ -127,6 +127,10 @@ fn the_near_field_brings_back_what_the_bound_cuts_off() {
     assert!(dark < 0.97, "the bound must cut something off: {dark}");
     assert!((right - 1.0).abs() < 0.015, "{right}");
     assert!(error < 0.3 * error_without, "{error} against {error_without}");
+    // Few rays find the light alone, in this corner all there is to find.
+    let (light, error) = of(NearField::Light);
+    println!("the light alone: {light:.4} of the truth, relMSE {error:.5}");
+    assert!((light - 1.0).abs() < 0.02 && error < 0.4 * error_without, "{light}, {error} against {error_without}");
 }
 
 #[test]

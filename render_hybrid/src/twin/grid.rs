@@ -202,6 +202,10 @@ impl IrradianceGrid {
         for gy in span(y, rows) {
             for gx in span(x, self.columns) {
                 let g = &self.points[gy * self.columns + gx];
+                // Most are told off by this.
+                if g.normal.dot(n) <= LEAST_COSINE - 1e-3 {
+                    continue;
+                }
                 let (dx, dy) = (gx as f32 * s as f32 - x as f32, gy as f32 * s as f32 - y as f32);
                 let w = near_of_sixteen(dx / s as f32, dy / s as f32) * likeness(g, position, n);
                 sum += Vec3::from(g.arriving.map(|v| w * positive(n.x * v.x + n.y * v.y + n.z * v.z)));
