@@ -8,7 +8,7 @@
 //!
 //! [`NearField::Light`] is the first alone, by fewer and shorter rays.
 //!
-//! Cells are those of a hemispherical octahedral map around the shading normal, turned by a hashed angle from place to place.
+//! Cells are those of a hemispherical octahedral map around the shading normal, turned from place to place.
 //!
 //! Sources: Kollig & Keller, "Illumination in the Presence of Weak Singularities", MCQMC 2004 (the light that a bound cuts
 //! off, by rays); Cigolle et al., "A Survey of Efficient Representations for Independent Unit Vectors", JCGT 2014 (the map).
@@ -69,8 +69,10 @@ pub(crate) struct NearPlace {
     pub start: RayStart,
     /// Unit shading normal; zero: nothing lights it.
     pub normal: Vec3,
-    /// Turns its cells.
+    /// Of all places of the picture.
     pub number: u32,
+    /// Which of a square of four it is.
+    pub quarter: u32,
 }
 
 /// What lights the surfaces that those rays meet: VPLs of one bounce less, as the surface itself is one.
@@ -240,7 +242,13 @@ impl NearScratch {
                 continue;
             }
             let (t, b) = math::orthonormal_basis(place.normal);
-            let (sin, cos) = math::sin_cos(TAU * sampling::unit_f32(sampling::hash_u32(place.number)));
+            let turn = if full {
+                sampling::unit_f32(sampling::hash_u32(place.number))
+            } else {
+                // A pixel lies between four places, whose few rays go four ways: cells come round after a quarter of a turn.
+                [0.0, 2.0, 3.0, 1.0][place.quarter as usize % 4] * (1.0 / 16.0)
+            };
+            let (sin, cos) = math::sin_cos(TAU * turn);
             let (t, b) = (t * cos + b * sin, b * cos - t * sin);
             for axis in 0..3 {
                 run.tangent[axis][lane] = t[axis];

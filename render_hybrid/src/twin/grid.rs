@@ -321,7 +321,9 @@ fn fill_rows(
         *point = GridPoint { position_world: seen.position_world, normal, ..GridPoint::default() };
         s.points.push(&seen, &RayStart::default());
         let number = (first_row * columns + s.places.len()) as u32;
-        s.places.push(NearPlace { start, normal, number });
+        let (column, row) = (number as usize % columns, number as usize / columns);
+        let quarter = (column % 2 + row % 2 * 2) as u32;
+        s.places.push(NearPlace { start, normal, number, quarter });
     }
     s.points.pad();
     s.arriving.clear();
