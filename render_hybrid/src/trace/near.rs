@@ -245,7 +245,7 @@ impl NearScratch {
             let turn = if full {
                 sampling::unit_f32(sampling::hash_u32(place.number))
             } else {
-                // A pixel lies between four places, whose few rays go four ways: cells come round after a quarter of a turn.
+                // The few rays of four places go four ways: cells come round after a quarter of a turn.
                 [0.0, 2.0, 3.0, 1.0][place.quarter as usize % 4] * (1.0 / 16.0)
             };
             let (sin, cos) = math::sin_cos(TAU * turn);

@@ -68,7 +68,6 @@ struct RowsScratch {
     points: PointBatch,
     arriving: Vec<[Lane; 9]>,
     places: Vec<NearPlace>,
-    close: Vec<[Vec3; 3]>,
     near: NearScratch,
 }
 
@@ -88,6 +87,9 @@ pub struct IrradianceGrid {
     spacing: u32,
     columns: usize,
     points: Vec<GridPoint>,
+    /// What few rays found close to each point: per channel a vector sum as in [`GridPoint::arriving`].
+    close: Vec<[Vec3; 3]>,
+    means: Vec<[Vec3; 3]>,
     scratch: Vec<Mutex<RowsScratch>>,
 }
 
@@ -111,6 +113,7 @@ impl IrradianceGrid {
         let [columns, rows] = grid_size([ctx.settings.width, ctx.settings.height], spacing).map(|n| n as usize);
         self.columns = columns;
         self.points.resize(self.columns * rows, GridPoint::default());
+        self.close.resize(self.columns * rows, [Vec3::ZERO; 3]);
         self.scratch.resize_with(rayon::current_num_threads(), Mutex::default);
         let (scratch, columns) = (&self.scratch, self.columns);
         // Which thread gets which row is chance, memory for it must not be.
@@ -122,19 +125,60 @@ impl IrradianceGrid {
             make_room(&mut s.arriving, places.div_ceil(LANES));
             s.points.reserve([places.next_multiple_of(LANES), 0]);
             make_room(&mut s.places, places);
-            make_room(&mut s.close, places);
             s.near.reserve(near_field_of(ctx.settings), places, ctx.scene.lights.len());
         }
-        let rows_of = self.points.par_chunks_mut(columns * ROWS).enumerate().with_max_len(1);
-        let counts = rows_of.map(|(i, points)| {
+        let rows_of = self.points.par_chunks_mut(columns * ROWS).zip(self.close.par_chunks_mut(columns * ROWS));
+        let counts = rows_of.enumerate().with_max_len(1).map(|(i, (points, close))| {
             let own = rayon::current_thread_index().unwrap_or(0) % scratch.len();
             let mut s = scratch[own].lock().unwrap_or_else(std::sync::PoisonError::into_inner);
-            fill_rows(ctx, part, spacing, [columns, i * ROWS], points, &mut s);
+            fill_rows(ctx, part, spacing, [columns, i * ROWS], points, close, &mut s);
             s.near.counts
         });
         let counts = counts.reduce(RayCounts::default, RayCounts::merged);
+        if near_field_of(ctx.settings) == NearField::Light {
+            self.add_close();
+        }
         self.spacing = spacing;
         RayCounts { camera: counts.camera + (self.columns * rows) as u64, ..counts }
+    }
+
+    /// Adds what few rays found, as a mean over each point and the eight around it, as far as they are on its surface: the four
+    /// ways that rays of neighbours go weigh the same in it.
+    fn add_close(&mut self) {
+        let (columns, rows) = (self.columns, self.points.len() / self.columns);
+        let (points, close) = (&self.points, &self.close);
+        let mean = |at: usize| {
+            let (x, y, own) = (at % columns, at / columns, &points[at]);
+            let (mut sum, mut weight) = ([Vec3::ZERO; 3], 0.0f32);
+            for row in y.saturating_sub(1)..(y + 2).min(rows) {
+                for column in x.saturating_sub(1)..(x + 2).min(columns) {
+                    let i = row * columns + column;
+                    let near = if row == y { 2.0 } else { 1.0 } * if column == x { 2.0 } else { 1.0 };
+                    // The point itself counts, whatever rounding says of it.
+                    let alike = if i == at { 1.0 } else { likeness(&points[i], own.position_world, own.normal) };
+                    let w = near * alike;
+                    for (sum, light) in sum.iter_mut().zip(close[i]) {
+                        *sum += light * w;
+                    }
+                    weight += w;
+                }
+            }
+            sum.map(|s| s / weight)
+        };
+        let means = &mut self.means;
+        means.resize(points.len(), [Vec3::ZERO; 3]);
+        means.par_chunks_mut(columns).enumerate().for_each(|(y, means)| {
+            for (x, out) in means.iter_mut().enumerate().filter(|(x, _)| points[y * columns + x].normal != Vec3::ZERO) {
+                *out = mean(y * columns + x);
+            }
+        });
+        for (point, mean) in self.points.iter_mut().zip(&self.means) {
+            if point.normal != Vec3::ZERO {
+                for (arriving, light) in point.arriving.iter_mut().zip(mean) {
+                    *arriving += *light;
+                }
+            }
+        }
     }
 
     /// Forgets the grid, keeps the memory.
@@ -295,6 +339,7 @@ fn fill_rows(
     spacing: u32,
     first: [usize; 2],
     points: &mut [GridPoint],
+    close: &mut [[Vec3; 3]],
     s: &mut RowsScratch,
 ) {
     let (width, height) = (ctx.settings.width, ctx.settings.height);
@@ -328,12 +373,11 @@ fn fill_rows(
     s.points.pad();
     s.arriving.clear();
     s.arriving.resize(points.len().div_ceil(LANES), [[0.0; LANES]; 9]);
-    s.close.clear();
-    s.close.resize(points.len(), [Vec3::ZERO; 3]);
+    close.fill([Vec3::ZERO; 3]);
     s.near.counts = RayCounts::default();
     let near_field = near_field_of(ctx.settings);
     if near_field != NearField::Off {
-        s.near.look(ctx, near_field, &s.places, &mut s.close);
+        s.near.look(ctx, near_field, &s.places, close);
     }
     if part == Part::All {
         let near = if near_field == NearField::Full { s.near.runs.as_slice() } else { &[] };
@@ -344,7 +388,10 @@ fn fill_rows(
     for (i, point) in points.iter_mut().enumerate() {
         let of = |k: usize| s.arriving[i / LANES][k][i % LANES];
         let far = [0, 3, 6].map(|k| Vec3::new(of(k), of(k + 1), of(k + 2)));
-        point.arriving = std::array::from_fn(|channel| far[channel] + s.close[i][channel]);
+        point.arriving = far;
+        if near_field == NearField::Full {
+            point.arriving.iter_mut().zip(close[i]).for_each(|(arriving, light)| *arriving += light);
+        }
     }
 }
 
