@@ -28,6 +28,7 @@ use crate::{
     },
     twin::{
         gbuffer::{CameraScan, Eye},
+        grid::IrradianceGrid,
         interleave::{self, Guide},
         moments::render_moments,
         shadow::ShadowPlan,
@@ -116,7 +117,7 @@ pub(crate) fn explain_pixel(
     moments(state, level, scene, settings, &mut stats);
     virtual_lights(state, level, scene, settings, &mut stats);
     if settings.vpl.is_some_and(|v| v.interleave == 1) {
-        light_grid(state, level, scene, settings);
+        light_grid(state, level, scene, settings, IrradianceGrid::build);
     }
     Ok(explain::explain(&context(state, level, scene, settings), x, y))
 }
@@ -262,7 +263,7 @@ fn pixels(state: &mut FrameState, level: SimdLevel, scene: &RenderScene, setting
     state.camera.build(level, scene, &state.accel, [settings.width, settings.height]);
     let setup = milliseconds(start);
     let start = Instant::now();
-    let rays = light_grid(state, level, scene, settings);
+    let rays = light_grid(state, level, scene, settings, IrradianceGrid::build);
     frame.stats.rays = frame.stats.rays.merged(rays);
     frame.stats.stages_ms.vpls += milliseconds(start);
     let start = Instant::now();
@@ -350,28 +351,17 @@ fn pixels(state: &mut FrameState, level: SimdLevel, scene: &RenderScene, setting
     }
 }
 
-/// Evaluates all VPLs on a grid of the picture, where the settings want it.
+/// Light on a grid of the picture, where the settings want it.
+/// * `build`: [`IrradianceGrid::build`] or [`IrradianceGrid::build_close`]
 pub(crate) fn light_grid(
     state: &mut FrameState,
     level: SimdLevel,
     scene: &RenderScene,
     settings: &RenderSettings,
+    build: impl FnOnce(&mut IrradianceGrid, &FrameContext) -> RayCounts,
 ) -> RayCounts {
     let mut grid = std::mem::take(&mut state.grid);
-    let rays = grid.build(&context(state, level, scene, settings));
-    state.grid = grid;
-    rays
-}
-
-/// The light that the bound of the VPLs cuts off, on such a grid.
-pub(crate) fn close_light(
-    state: &mut FrameState,
-    level: SimdLevel,
-    scene: &RenderScene,
-    settings: &RenderSettings,
-) -> RayCounts {
-    let mut grid = std::mem::take(&mut state.grid);
-    let rays = grid.build_close(&context(state, level, scene, settings));
+    let rays = build(&mut grid, &context(state, level, scene, settings));
     state.grid = grid;
     rays
 }

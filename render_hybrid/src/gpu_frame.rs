@@ -17,8 +17,8 @@ use std::time::Instant;
 use crate::{
     error::RenderError,
     frame::{
-        close_light, context, geometry_term_max, light_grid, merge_non_finite, milliseconds, moments, shadow_plan,
-        structures, virtual_lights,
+        context, geometry_term_max, light_grid, merge_non_finite, milliseconds, moments, shadow_plan, structures,
+        virtual_lights,
     },
     output::{Frame, FrameStats, Image, Layer, RayCounts, StageInterval, StageTimes},
     raster::{GpuRaster, Indirect, PhotonInputs, RasterInputs, TracedCounts},
@@ -30,7 +30,11 @@ use crate::{
         photons::LightPaths,
         whitted::{self, MaskedPixel},
     },
-    twin::{grid::near_field_of, shadow::ShadowPlan, vpl_maps::VplMaps},
+    twin::{
+        grid::{IrradianceGrid, near_field_of},
+        shadow::ShadowPlan,
+        vpl_maps::VplMaps,
+    },
 };
 
 /// A frame that is lit on the GPU and not traced yet.
@@ -329,8 +333,8 @@ fn light(
     let visibility = trace_lights.then_some(traced.visibility.as_slice());
     if near_field != NearField::Off && !trace_vpls {
         let rays = clock.run("light grid", &mut told, || match near_field {
-            NearField::Full => light_grid(state, level, scene, settings),
-            _ => close_light(state, level, scene, settings),
+            NearField::Full => light_grid(state, level, scene, settings, IrradianceGrid::build),
+            _ => light_grid(state, level, scene, settings, IrradianceGrid::build_close),
         });
         stats.rays = stats.rays.merged(rays);
     }
